@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from egp_service._core import (
@@ -63,3 +64,27 @@ def test_a_driver_accepts_no_gate_wider_than_the_librarys_vehicle(
     with pytest.raises(InvalidArgumentError, match=message):
         InProcessDriver(engine, gate=LIMITS | change)
     InProcessDriver(engine, gate=LIMITS | {"steering_rate": 0.3, "max_tail_ticks": 5.0})
+
+
+def test_a_driver_accepts_limits_that_differ_by_rounding_and_the_same_car_with_another_load() -> (
+    None
+):
+    engine = Engine(DEMO_LIBRARY)
+    single = {name: float(np.float32(value)) for name, value in LIMITS.items()}
+    assert single["steering_angle"] > LIMITS["steering_angle"]
+    InProcessDriver(engine, gate=single)
+    for mass in (1226.0, 1.0099 * LIMITS["mass"], 0.9901 * LIMITS["mass"]):
+        fields = VehicleParameters.commonroad(1).fields() | {"mass": mass}
+        InProcessDriver(engine, gate=VehicleParameters(**fields).gate_limits())
+        InProcessDriver(engine, gate=LIMITS | {"mass": mass})
+    for change, message in (
+        ({"steering_angle": 0.9101}, r"steering_angle is 0\.9101 rad"),
+        ({"force_max": 7356.0}, r"force_max is 7356 N, .* has 7355\.322 N; narrow"),
+        (
+            {"force_max": 7381.0, "mass": 1230.0},
+            r"has 7355\.322 N at 1225\.887 kg, which is 7380 N at the gate's mass of 1230 kg; ",
+        ),
+        ({"force_max": 7356.0, "mass": 1220.0}, r"force_max is 7356 N, .* has 7355\.322 N; narrow"),
+    ):
+        with pytest.raises(InvalidArgumentError, match=message):
+            InProcessDriver(engine, gate=LIMITS | change)

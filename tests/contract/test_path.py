@@ -173,6 +173,22 @@ def test_refusals_say_what_was_expected() -> None:
         horizon_reference(path, SpeedProfile(path, CAR), np.zeros(6), 0.05, 20)
 
 
+def test_a_profile_of_another_path_of_the_same_length_is_an_error() -> None:
+    x = np.linspace(0.0, 100.0, 41)
+    left = np.column_stack([x, 4.0 * np.sin(x / 15.0)])
+    path, mirrored = (Path.from_points(left * [1.0, side], closed=False) for side in (1.0, -1.0))
+    assert mirrored.length == path.length
+    profile = SpeedProfile(path, CAR)
+    x0 = state(1.0, 0.0, 0.2)
+    with pytest.raises(InvalidArgumentError, match="the profile belongs to another path"):
+        horizon_reference(mirrored, profile, x0, 0.05, 20)
+    expected = horizon_reference(path, profile, x0, 0.05, 20)[0]
+    wide = Path.from_points(left, closed=False, widths=np.full((41, 2), 3.0))
+    for same in (path.with_friction([(0.0, "ice")]), Path.from_points(left, closed=False), wide):
+        reference = horizon_reference(same, profile, x0, 0.05, 20)[0]
+        np.testing.assert_array_equal(reference, expected)
+
+
 def test_a_margin_that_is_negative_is_an_error_with_the_range() -> None:
     with pytest.raises(EgpError, match=r"expected 0 to less than 0\.05 .* for margin, got -1"):
         Path.iso_3888_2(1.6, margin=-1.0)

@@ -9,6 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 from egp_service._core.path import Path, SpeedProfile
 from egp_service._core.vehicle import VehicleParameters
 
+FRICTION_HYPOTHESES: tuple[float, ...]  # those of a `log_likelihood`, increasing
+
 @final
 class RoadBelief:
     """Belief about the friction along a path, from what control steps found in cells of 2 m.
@@ -23,7 +25,8 @@ class RoadBelief:
     nats).
 
     Raises:
-        EgpError: unless all these numbers are positive.
+        InvalidArgumentError: unless all these numbers are positive and finite, the window is at
+            most 1000, and the path is 1 m to 1000 km long.
 
     """
 
@@ -43,6 +46,10 @@ class RoadBelief:
 
         It has to be `history` of the controller whose steps are used. Setting another one forgets
         where the vehicle was.
+
+        Raises:
+            InvalidArgumentError: if it is set to another number.
+
         """
     @window.setter
     def window(self, window: int) -> None: ...
@@ -67,11 +74,12 @@ class RoadBelief:
     def update(self, s: float, log_likelihood: ArrayLike | None = None) -> None:
         """Open a control period at arc length `s` with what the last step found.
 
-        `log_likelihood` (17,) is that of its `Friction`; without it nothing is added. Only ratios
-        of likelihoods count.
+        `log_likelihood` (17,) is that of its `Friction`, the logarithms of the likelihoods of the
+        coefficients `egp_service._core.FRICTION_HYPOTHESES`; without it nothing is added. Only
+        ratios of likelihoods count.
 
         Raises:
-            EgpError: unless `s` is finite and the logarithms are from -1e6 to 0.
+            InvalidArgumentError: unless `s` is within ±1e9 m and the logarithms are from -1e6 to 0.
 
         """
     def leave(self) -> None:
@@ -83,8 +91,8 @@ class RoadBelief:
         each place may be on a patch.
 
         Raises:
-            InvalidArgumentError: unless the distances are equal.
-            EgpError: unless `risk` is between 0 and 1.
+            InvalidArgumentError: unless the places are within ±1e9 m, their distances are equal and
+                they cover at most 10 km, and `risk` is between 0 and 1.
 
         """
     def preview(self, places: ArrayLike) -> NDArray[np.float64]:
@@ -95,7 +103,8 @@ class RoadBelief:
         decrease.
 
         Raises:
-            EgpError: unless there are at least two places.
+            InvalidArgumentError: unless there are at least two places, which do not decrease, are
+                within ±1e9 m and cover at most 10 km.
 
         """
     def quantiles(self, s: ArrayLike, share: float) -> NDArray[np.float64]:
@@ -106,12 +115,17 @@ class RoadBelief:
         >>> road = RoadBelief(Path.rounded_rectangle())
         >>> road.quantiles(np.array([10.0]), 0.5).round(2).tolist()  # nothing is known
         [0.7]
+
+        Raises:
+            InvalidArgumentError: unless the arc lengths are within ±1e9 m and `share` is between 0
+                and 1.
+
         """
     def tile(self, index: int) -> bytes:
         """Return what this vehicle measured in 64 cells, without what was reported to it.
 
         Raises:
-            EgpError: unless `index` is below `tiles`.
+            InvalidArgumentError: unless `index` is below `tiles`.
 
         """
     def take_changed(self) -> list[int]:
@@ -122,7 +136,8 @@ class RoadBelief:
         Reports are never part of `tile` or `to_bytes`.
 
         Raises:
-            EgpError: if there is no such tile, or if the bytes are not those of a tile.
+            InvalidArgumentError: if there is no such tile.
+            EgpError: if the bytes are not those of a tile.
 
         """
     @property
@@ -155,8 +170,9 @@ def merge_tiles(
     True
 
     Raises:
-        InvalidArgumentError: for an age that is negative or not finite.
-        EgpError: if bytes are not those of a tile, or a setting is not positive.
+        InvalidArgumentError: for an age that is negative or not finite, and for a setting that is
+            not positive.
+        EgpError: if bytes are not those of a tile.
 
     """
 
@@ -178,7 +194,8 @@ class SpeedPlanner:
     [10.07, 0.0]
 
     Raises:
-        EgpError: if a number is out of range.
+        InvalidArgumentError: if a number is out of range, if a closed path has an `end_speed`, and
+            if the path is shorter than 1 m.
 
     """
 
@@ -207,6 +224,7 @@ class SpeedPlanner:
         the plan brakes with all grip.
 
         Raises:
-            EgpError: if a number is out of range.
+            InvalidArgumentError: unless `s` is finite, `v` is within ±10000 m/s, and there is a
+                positive coefficient for each of the places.
 
         """

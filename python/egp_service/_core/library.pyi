@@ -11,7 +11,10 @@ from egp_service._core.vehicle import VehicleParameters
 
 @final
 class Library:
-    """A verified library: one member for each surface. It does not change after it was loaded."""
+    """A verified library: one member for each surface. It does not change after it was loaded.
+
+    Pickle hands the file's bytes over to another process, which verifies and factors them again.
+    """
 
     @staticmethod
     def load(path: str | PathLike[str]) -> Library:
@@ -19,9 +22,12 @@ class Library:
 
         Raises:
             LibraryError: for a file that fails a check.
-            OSError: for a file that cannot be read.
+            OSError: for a file that cannot be read, such as a folder, which is an
+                `IsADirectoryError`, or a pipe.
 
         """
+    def __copy__(self) -> Library: ...
+    def __deepcopy__(self, memo: object, /) -> Library: ...
     @property
     def id(self) -> str:
         """SHA-256 of the file, hexadecimal; each request states it."""
@@ -108,6 +114,8 @@ class Library:
 class Member:
     """Vehicle and GPs of one surface; hyperparameters are those of the z-scored space."""
 
+    def __copy__(self) -> Member: ...
+    def __deepcopy__(self, memo: object, /) -> Member: ...
     @property
     def label(self) -> str:
         """Name of the surface."""

@@ -18,6 +18,7 @@ class Path:
 
     Closed paths wrap at their length; open ones continue straight beyond their ends. All quantities
     are in SI units. Yaw is counter-clockwise from +x, and lateral errors are positive to the left.
+    A path does not change; pickle hands the same path, bit for bit, over to another process.
     """
 
     @staticmethod
@@ -27,9 +28,9 @@ class Path:
         `widths` (n, 2) are the distances `[left, right]`, m, to the edges at the points.
 
         Raises:
-            EgpError: for fewer than 4 points, repeated ones, turns that are too sharp, a path that
-                is too long, coordinates that are not finite or beyond 1e8 m, and widths that are
-                not finite, negative, or of another number.
+            InvalidArgumentError: for fewer than 4 points, repeated ones, turns that are too sharp,
+                a path that is too long, coordinates that are not finite or beyond 1e8 m, and widths
+                that are not finite, negative, or of another number.
 
         """
     @staticmethod
@@ -45,7 +46,8 @@ class Path:
         Corners are arcs between clothoids of length `transition`. All dimensions are in m.
 
         Raises:
-            EgpError: if a dimension is out of range or a side is too short for its corners.
+            InvalidArgumentError: if a dimension is out of range or a side is too short for its
+                corners.
 
         """
     @staticmethod
@@ -62,7 +64,7 @@ class Path:
         All dimensions are in m.
 
         Raises:
-            EgpError: as for `rounded_rectangle`.
+            InvalidArgumentError: as for `rounded_rectangle`.
 
         """
     @staticmethod
@@ -78,7 +80,8 @@ class Path:
         cones and the sides of a vehicle on the path. All dimensions are in m.
 
         Raises:
-            EgpError: if a dimension is out of range or the margin leaves no room in the first lane.
+            InvalidArgumentError: if a dimension is out of range or the margin leaves no room in the
+                first lane.
 
         """
     @staticmethod
@@ -94,8 +97,8 @@ class Path:
         All dimensions are in m.
 
         Raises:
-            EgpError: if a dimension is out of range or the road is too short for a lane change and
-                back.
+            InvalidArgumentError: if a dimension is out of range or the road is too short for a lane
+                change and back.
 
         """
     @staticmethod
@@ -107,8 +110,8 @@ class Path:
         All dimensions are in m.
 
         Raises:
-            EgpError: if a dimension is out of range, the lap is too short for the radius, or the
-                radius is at most half the track's width.
+            InvalidArgumentError: if a dimension is out of range, the lap is too short for the
+                radius, or the radius is at most half the track's width.
 
         """
     @staticmethod
@@ -120,8 +123,9 @@ class Path:
         Lengths are in m and multiplied by `scale`, which is 10 for a track of 1:10 cars.
 
         Raises:
-            EgpError: if the file cannot be read or has another format, `scale` is out of range, or
-                `from_points` raises it for the points.
+            InvalidArgumentError: unless `scale` is positive.
+            EgpError: if the file cannot be read or has another format, or if no path goes through
+                its points as `from_points` would make it.
 
         """
     def with_friction(
@@ -137,10 +141,12 @@ class Path:
         and the second is then that to the left. Zones may be rows of an array.
 
         Raises:
-            InvalidArgumentError: for zones of another form.
-            EgpError: if the starts do not increase from 0 to below 1 or a surface is out of range.
+            InvalidArgumentError: for zones of another form, if the starts do not increase from 0 to
+                below 1, and if a surface is unknown or out of range.
 
         """
+    def __copy__(self) -> Path: ...
+    def __deepcopy__(self, memo: object, /) -> Path: ...
     @property
     def length(self) -> float:
         """Length in m, of one lap if closed."""
@@ -155,7 +161,7 @@ class Path:
         searched.
 
         Raises:
-            EgpError: if a number is not finite.
+            InvalidArgumentError: if a number is not finite.
 
         """
     def sample(
@@ -222,7 +228,8 @@ class SpeedProfile:
     `mu * lateral_grip` is interpolated linearly, and continued below them.
 
     Raises:
-        EgpError: if a number is out of range or the frictions do not increase.
+        InvalidArgumentError: if a number is out of range, the frictions do not increase, or a
+            closed path has a start or an end speed.
 
     """
 
@@ -239,7 +246,12 @@ class SpeedProfile:
     ) -> SpeedProfile: ...
     @staticmethod
     def constant(path: Path, speed: float) -> SpeedProfile:
-        """Make a profile with one speed everywhere."""
+        """Make a profile with one speed in m/s everywhere.
+
+        Raises:
+            InvalidArgumentError: unless the speed is from 0.001 to 10000 m/s.
+
+        """
     @property
     def lap_time(self) -> float:
         """Seconds for the lap, or from start to end."""
@@ -273,7 +285,7 @@ def horizon_reference(
     they follow the profile however far the vehicle is behind.
 
     Raises:
-        EgpError: if position, yaw or hint is not finite, `dt` is not positive, or the profile is
-            not one of `path`.
+        InvalidArgumentError: if position, yaw or hint is not finite, `dt` is not positive, or the
+            profile is not one of `path`, which may have other widths and zones of friction.
 
     """

@@ -18,7 +18,7 @@ class Plant:
     0 unless stated.
 
     Raises:
-        EgpError: if a name is unknown or a value out of its range.
+        InvalidArgumentError: if a name is unknown or a value out of its range.
 
     """
 
@@ -37,11 +37,13 @@ class Plant:
     ) -> None:
         """Put the vehicle at `x`, `y` (m) and `yaw` (rad) with rolling wheels.
 
-        It gets the forward speed `v >= 0` and the lateral speed `v_y` (m/s), the yaw rate
-        `yaw_rate` (rad/s) and the steering angle `delta` (rad); its suspension is at rest.
+        It gets the forward speed `v` and the lateral speed `v_y` (m/s), the yaw rate `yaw_rate`
+        (rad/s) and the steering angle `delta` (rad); its suspension is at rest.
 
         Raises:
-            EgpError: if a number is not finite or `v` is negative.
+            InvalidArgumentError: if a number is not finite, and unless `v` is from 0 to 100 m/s,
+                `v_y` within ±50 m/s, `yaw_rate` within ±20 rad/s and `delta` within ±1.5 rad. The
+                state is then unchanged.
 
         """
     def step(
@@ -60,7 +62,10 @@ class Plant:
         call searches the whole path.
 
         Raises:
-            EgpError: for invalid input, and if the vehicle has spun; the state is then unchanged.
+            InvalidArgumentError: for an input, a period, a surface or a hint that is not finite or
+                out of range; the state is then unchanged.
+            TypeError: for what is neither a surface nor a path.
+            VehicleLostError: if the vehicle has spun; the state is then unchanged.
 
         """
     @property
@@ -68,8 +73,8 @@ class Plant:
         """All states (29,) in the order and the SI units of CommonRoad's multi-body vehicle.
 
         Raises:
-            InvalidArgumentError: if they are set with another shape.
-            EgpError: if they are set with a number that is not finite or a negative forward speed.
+            InvalidArgumentError: if they are set with another shape, a number that is not finite,
+                or a forward speed that is not from 0 to 100 m/s.
 
         """
     @state.setter
@@ -97,6 +102,7 @@ def surface_friction(surface: _Surface) -> float:
     `shift` is a factor on the lateral force of camber alone.
 
     Raises:
-        EgpError: if a name is unknown or a value out of its range.
+        InvalidArgumentError: if a name is unknown or a value out of its range.
+        TypeError: for what is no number, name or table of numbers.
 
     """

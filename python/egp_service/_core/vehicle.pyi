@@ -12,7 +12,7 @@ class VehicleParameters:
     All fields are required keywords and positive, except `a_min`, which is negative.
 
     Raises:
-        EgpError: naming the field that is missing, unknown or out of range.
+        InvalidArgumentError: naming the field that is missing, unknown or out of range.
 
     """
 
@@ -41,7 +41,7 @@ class VehicleParameters:
         """Return the vehicle of this CommonRoad number: 1 is a Ford Escort, 2 is a BMW 320i.
 
         Raises:
-            EgpError: for any other number.
+            InvalidArgumentError: for any other number.
             OverflowError: for a negative number or one above 2³² - 1.
 
         """

@@ -37,8 +37,8 @@ class Friction:
     `mean`, standard deviation `std`, the 5 and 95 % quantiles `lower` and `upper`, and the
     `information` of the transitions, which is the divergence from the prior in nats. From 0.1 nats
     on the transitions are `informed`; otherwise the posterior is hardly more than the prior.
-    `log_likelihood` (17,) has the logarithms of the likelihoods of 0.1 * 13 ** (i / 16), relative
-    to the largest.
+    `log_likelihood` (17,) has the logarithms of the likelihoods of the coefficients
+    0.1 * 13 ** (i / 16), which are `FRICTION_HYPOTHESES`, relative to the largest.
     """
 
     mean: Final[float]

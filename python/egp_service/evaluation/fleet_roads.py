@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from egp_service._core import RoadBelief, merge_tiles
+from egp_service._core import FRICTION_HYPOTHESES, RoadBelief, merge_tiles
 from egp_service.evaluation.contenders import ORACLE, Contender, make
 from egp_service.evaluation.experiment import TWO, ClosedLoopExperiment, jittered, on_surfaces
 from egp_service.evaluation.unknown_roads import ENVELOPE
@@ -102,8 +102,7 @@ def _with_noise(scenario: Scenario, more: int) -> Scenario:
 def _lying(path: Path, friction: float) -> RoadBelief:
     """Return what a car says that claims to have found one friction everywhere."""
     belief = RoadBelief(path)
-    hypotheses = 0.1 * 13.0 ** np.linspace(0.0, 1.0, 17)
-    claimed = -0.5 * (np.log(hypotheses / friction) / _LIE_SPREAD) ** 2
+    claimed = -0.5 * (np.log(np.array(FRICTION_HYPOTHESES) / friction) / _LIE_SPREAD) ** 2
     for s in np.arange(0.0, _LIE_LAPS * path.length, _LIE_STEP):
         belief.update(float(s % path.length), claimed - claimed.max())
     return belief

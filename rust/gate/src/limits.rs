@@ -38,8 +38,9 @@ pub struct LimitsError {
 /// A limit that allows more than the vehicle that plans are made for can do, or another mass.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[error(
-    "gate limit {name} is {gate} {unit}, the vehicle that plans are made for has {planned} {unit}; {}, or use a library \
+    "gate limit {name} is {gate} {unit}, the vehicle that plans are made for has {planned} {unit}{}; {}, or use a library \
      trained for the gate's vehicle",
+    at_other_mass(self),
     advice(.name)
 )]
 pub struct WiderError {
@@ -51,10 +52,12 @@ pub struct WiderError {
     pub gate: f64,
     /// That of the vehicle that plans are made for.
     pub planned: f64,
+    /// Masses of the gate and of the vehicle that plans are made for, kg.
+    pub masses: [f64; 2],
 }
 
-/// Relative difference between two limits that is rounding.
-pub(crate) const ROUNDING: f64 = 1e-9;
+/// Relative difference between two limits that is rounding, such as that of numbers of 32 bits.
+pub(crate) const ROUNDING: f64 = 1e-6;
 /// Deceleration of a stop \[m/s²\] that wet roads hold, so that the wheels do not lock.
 const STOP_DECELERATION: f64 = 3.0;
 /// Largest relative difference between the masses of the same vehicle.
@@ -71,6 +74,22 @@ pub(crate) fn positive(name: &'static str, value: f64) -> Result<f64, LimitsErro
             value,
         })
     }
+}
+
+/// What a limit on forces may be if the gate's vehicle is the heavier one, as a part of [`WiderError`]'s message.
+fn at_other_mass(error: &WiderError) -> String {
+    let [mass, planned_mass] = error.masses;
+    if !(is_of_forces(error.name) && mass > planned_mass) {
+        return String::new();
+    }
+    let (unit, most) = (error.unit, error.planned * (mass / planned_mass));
+    let most = (1e3 * most).round() / 1e3; // without the digits of rounding
+    format!(" at {planned_mass} kg, which is {most} {unit} at the gate's mass of {mass} kg")
+}
+
+/// Whether a limit is an acceleration, or its change or power, times the mass.
+fn is_of_forces(name: &str) -> bool {
+    matches!(name, "force_min" | "force_max" | "power" | "force_slew")
 }
 
 /// What to change in the gate; its mass cannot be narrowed.
@@ -104,18 +123,29 @@ impl Limits {
         STOP_DECELERATION.min(-self.force_min / self.mass)
     }
 
-    /// Checks that the gate lets nothing through that the vehicle which plans are made for cannot do, apart from
-    /// rounding (1e-9), and that its mass is that vehicle's within 1 %. A narrower gate is allowed: it then changes what
-    /// a plan asks for.
+    /// Checks that the gate lets nothing through that the vehicle which plans are made for cannot do, apart from a relative
+    /// 1e-6 of rounding, and that its mass `m` is that vehicle's mass `M` within 1 %. A narrower gate is allowed: it then
+    /// changes what a plan asks for.
+    ///
+    /// The bound of a force `F`, of a power and of a change of force is `max(1, m / M)` times that of the planned vehicle:
+    ///
+    /// * A heavier gate, `m > M`, is compared per mass, `F / m <= F_planned / M`, so that [`Limits::of`] the same vehicle with
+    ///   another load fits. The driven vehicle then accelerates no more than the planned one, if `m` is its mass, and at most
+    ///   1 % more if `M` is.
+    /// * A lighter gate, `m < M`, is compared as it is, `F <= F_planned`: this is the force of the plans themselves, which are
+    ///   made for the mass `M`. It accelerates the driven vehicle at most 1 % (`M / m`) more than the planned one.
     ///
     /// # Errors
     /// [`WiderError`] with both values, for the first field at fault.
     pub fn check_within(&self, planned: &VehicleParameters) -> Result<(), WiderError> {
+        let masses = [self.mass, planned.mass];
+        let heavier = (self.mass / planned.mass).max(1.0);
         let pairs = self.fields().into_iter().zip(Self::of(planned).fields());
         for ((name, unit, gate), (_, _, planned)) in pairs {
+            let share = if is_of_forces(name) { heavier } else { 1.0 };
             let allowed = match name {
                 "mass" => (gate - planned).abs() <= SAME_MASS * planned,
-                _ => gate.abs() <= planned.abs() * (1.0 + ROUNDING),
+                _ => gate.abs() <= planned.abs() * share * (1.0 + ROUNDING),
             };
             if !allowed {
                 return Err(WiderError {
@@ -123,6 +153,7 @@ impl Limits {
                     unit,
                     gate,
                     planned,
+                    masses,
                 });
             }
         }

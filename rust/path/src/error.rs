@@ -87,14 +87,9 @@ pub enum PathError {
         /// The given value.
         value: f64,
     },
-    /// A speed profile of another path.
-    #[error("the speed profile belongs to a path of {profile} m, but this path has {path} m")]
-    ForeignProfile {
-        /// Length of the profile's path.
-        profile: f64,
-        /// Length of this path.
-        path: f64,
-    },
+    /// A speed profile of a path with another curve.
+    #[error("the profile belongs to another path")]
+    ForeignProfile,
     /// A built-in track with contradictory dimensions.
     #[error("{0}")]
     Track(String),

@@ -81,8 +81,8 @@ const PICK_UP: f64 = 1.0;
 /// `dt` is the control period in s. Allocates nothing.
 ///
 /// # Errors
-/// [`PathError`] if the position, yaw or hint is not finite, the period is not positive, or the profile belongs to another
-/// path.
+/// [`PathError`] if the position, yaw or hint is not finite, the period is not positive, or the profile belongs to a path
+/// with another curve. Zones of friction and widths may differ.
 pub fn horizon_reference(
     path: &Path,
     profile: &SpeedProfile,
@@ -106,11 +106,8 @@ pub fn horizon_reference(
         |_| true,
     )?;
     check("dt", dt, "a positive number of seconds", |dt| dt > 0.0)?;
-    if profile.path_length() != path.length() {
-        return Err(PathError::ForeignProfile {
-            profile: profile.path_length(),
-            path: path.length(),
-        });
+    if profile.curve() != path.curve() {
+        return Err(PathError::ForeignProfile);
     }
     let projection = path.project(position, hint);
     let stages = rows.reference.len();

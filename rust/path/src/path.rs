@@ -2,12 +2,14 @@
 
 use std::cell::Cell;
 use std::f64::consts::TAU;
+use std::hash::{DefaultHasher, Hash as _, Hasher as _};
 
 use egp_parameters::Surface;
 
 use crate::arc_length::{ArcLengthSpline, parametrise};
 use crate::error::PathError;
 use crate::friction::{Zone, check_zones, sides_at};
+use crate::parts::PathParts;
 use crate::spline::{Jet, Piece};
 
 /// Distance in m below which two points are the same.
@@ -24,6 +26,7 @@ pub struct Path {
     /// `[left, right]` at each knot.
     widths: Option<Vec<[f64; 2]>>,
     zones: Vec<Zone>,
+    curve: u64,
 }
 
 /// Properties of a path at one arc length.
@@ -95,15 +98,47 @@ impl Path {
             step,
             stations,
         } = parametrise(points, closed)?;
-        let mut path = Self {
+        let mut path = Self::of_pieces(closed, step, pieces);
+        path.widths = widths.map(|widths| path.widths_at_knots(&stations, widths));
+        Ok(path)
+    }
+
+    /// A path without widths and zones of friction.
+    fn of_pieces(closed: bool, step: f64, pieces: Vec<Piece>) -> Self {
+        Self {
             closed,
             step,
+            curve: identity(closed, step, &pieces),
             pieces,
             widths: None,
             zones: Vec::new(),
-        };
-        path.widths = widths.map(|widths| path.widths_at_knots(&stations, widths));
-        Ok(path)
+        }
+    }
+
+    /// The numbers that the path consists of.
+    pub fn parts(&self) -> PathParts {
+        PathParts {
+            closed: self.closed,
+            step: self.step,
+            pieces: self.pieces.iter().map(Piece::coefficients).collect(),
+            widths: self.widths.clone(),
+            zones: self.zones.clone(),
+        }
+    }
+
+    /// The path that consists of the numbers that [`Self::parts`] gave. Whether the pieces join smoothly is not checked.
+    ///
+    /// # Errors
+    /// [`PathError`] if there are no pieces, the step is not positive, a number is not finite or a width negative, widths are
+    /// not one row per knot, or the zones are none for [`Self::with_friction`].
+    pub fn from_parts(parts: PathParts) -> Result<Self, PathError> {
+        parts.check()?;
+        let pieces = parts.pieces.into_iter().map(Piece::new).collect();
+        Ok(Self {
+            widths: parts.widths,
+            zones: parts.zones,
+            ..Self::of_pieces(parts.closed, parts.step, pieces)
+        })
     }
 
     /// The same path with these zones of friction, the first of which starts at 0.
@@ -124,6 +159,11 @@ impl Path {
     /// Whether the end joins the start.
     pub fn closed(&self) -> bool {
         self.closed
+    }
+
+    /// A number that tells this curve from others: a hash of its knots, which does not depend on widths and zones of friction.
+    pub(crate) fn curve(&self) -> u64 {
+        self.curve
     }
 
     /// Whether the track's edges are known.
@@ -269,6 +309,21 @@ impl Path {
     }
 }
 
+/// [`Path::curve`] of a spline. Its knots determine it; the last piece has the end of an open one.
+fn identity(closed: bool, step: f64, pieces: &[Piece]) -> u64 {
+    let mut hasher = DefaultHasher::new(); // has no seed
+    (closed, step.to_bits(), pieces.len()).hash(&mut hasher);
+    let starts = pieces.iter().map(Piece::start);
+    let end = pieces
+        .last()
+        .into_iter()
+        .map(|last| last.jet(step).position);
+    for coordinate in starts.chain(end).flatten() {
+        coordinate.to_bits().hash(&mut hasher);
+    }
+    hasher.finish()
+}
+
 /// The angle in [-pi, pi] that differs from `angle` (rad) by whole turns.
 pub(crate) fn wrap_angle(angle: f64) -> f64 {
     angle - TAU * (angle / TAU).round()
@@ -283,9 +338,10 @@ fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
     (b[0] - a[0]).hypot(b[1] - a[1])
 }
 
-fn check_finite(
+/// Errors unless all values of the rows are finite and accepted.
+pub(crate) fn check_finite<const N: usize>(
     what: &'static str,
-    rows: &[[f64; 2]],
+    rows: &[[f64; N]],
     accept: impl Fn(f64) -> bool,
 ) -> Result<(), PathError> {
     match (rows.iter().enumerate())

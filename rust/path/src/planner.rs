@@ -72,6 +72,16 @@ impl SpeedPlanner {
         })
     }
 
+    /// The limits of the speed.
+    pub fn limits(&self) -> &SpeedLimits {
+        &self.limits
+    }
+
+    /// Whether the path is a lap.
+    pub fn closed(&self) -> bool {
+        self.closed
+    }
+
     /// Distance in m between the places of [`Self::plan`].
     pub fn step(&self) -> f64 {
         self.step

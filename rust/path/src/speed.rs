@@ -9,8 +9,8 @@ use crate::path::Path;
 /// closed form.
 #[derive(Debug, Clone)]
 pub struct SpeedProfile {
-    /// Length in m of the path.
-    path: f64,
+    /// The identity of the path's curve.
+    curve: u64,
     /// Whether the profile repeats, as that of a whole closed path does.
     closed: bool,
     /// Arc length in m of the first knot.
@@ -84,7 +84,7 @@ impl SpeedProfile {
 
     fn from_squares(path: &Path, squares: Vec<f64>) -> Self {
         let mut profile = Self {
-            path: path.length(),
+            curve: path.curve(),
             closed: path.closed(),
             start: 0.0,
             lap: None,
@@ -99,7 +99,7 @@ impl SpeedProfile {
     /// A profile of part of a path, for `knots` knots `step` m apart, to be filled by a planner.
     pub(crate) fn part_of(path: &Path, step: f64, knots: usize) -> Self {
         Self {
-            path: path.length(),
+            curve: path.curve(),
             closed: false,
             start: 0.0,
             lap: path.closed().then(|| path.length()),
@@ -123,9 +123,21 @@ impl SpeedProfile {
         }
     }
 
-    /// Length in m of the path that the profile belongs to.
-    pub(crate) fn path_length(&self) -> f64 {
-        self.path
+    /// [`Path::curve`] of the path that the profile belongs to.
+    pub(crate) fn curve(&self) -> u64 {
+        self.curve
+    }
+
+    /// Arc length in m at which the profile starts: 0, unless it is a plan of a [`crate::SpeedPlanner`].
+    pub fn start(&self) -> f64 {
+        self.start
+    }
+
+    /// Smallest and largest speed in m/s at the profile's knots, between which the speed is at all other places.
+    pub fn speed_range(&self) -> (f64, f64) {
+        let (least, most) = (self.squares.iter())
+            .fold((f64::INFINITY, 0.0_f64), |(a, b), v| (a.min(*v), b.max(*v)));
+        (least.sqrt(), most.sqrt())
     }
 
     /// `s` plus the whole laps that put it inside the profile or nearest to it. A profile longer than half a lap counts as

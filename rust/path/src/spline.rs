@@ -29,6 +29,16 @@ impl Piece {
         }
     }
 
+    /// The piece with these coefficients.
+    pub fn new(coefficients: [[f64; 4]; 2]) -> Self {
+        Self(coefficients)
+    }
+
+    /// The coefficients of both coordinates.
+    pub fn coefficients(&self) -> [[f64; 4]; 2] {
+        self.0
+    }
+
     /// The point at `u = 0`.
     pub fn start(&self) -> [f64; 2] {
         [self.0[0][0], self.0[1][0]]

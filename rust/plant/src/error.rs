@@ -1,6 +1,6 @@
 //! Errors of the plant.
 
-use egp_parameters::SurfaceError;
+use egp_parameters::{MEASURED_SPEED, SurfaceError};
 use thiserror::Error;
 
 use crate::VehicleId;
@@ -46,6 +46,20 @@ pub enum PlantError {
     /// A negative speed, for which the tyre equations do not hold.
     #[error("expected a forward speed v_x >= 0, got {0} m/s; the vehicle only drives forward")]
     Backward(f64),
+    /// A state outside the range of measured states.
+    #[error("expected {name} from {low} to {high} {unit}, got {value}: check its unit")]
+    OutOfRange {
+        /// Name of the state.
+        name: &'static str,
+        /// Its unit.
+        unit: &'static str,
+        /// Smallest value.
+        low: f64,
+        /// Largest value.
+        high: f64,
+        /// The given value.
+        value: f64,
+    },
     /// A wheel contact moves backward: the vehicle has spun.
     #[error(
         "wheel {wheel} (front -y, front +y, rear -y, rear +y) moves backward at {speed} m/s: the vehicle has spun, \
@@ -65,6 +79,33 @@ pub enum PlantError {
         /// Speed at the last finite state, m/s.
         v_x: f64,
     },
+}
+
+/// Errors unless a forward speed is from 0 to [`MEASURED_SPEED`]'s largest, m/s.
+pub(crate) fn check_forward_speed(v_x: f64) -> Result<(), PlantError> {
+    if v_x < 0.0 {
+        return Err(PlantError::Backward(v_x));
+    }
+    check_range("v_x", "m/s", v_x, (0.0, MEASURED_SPEED.1))
+}
+
+/// Errors unless `value` is from `low` to `high`.
+pub(crate) fn check_range(
+    name: &'static str,
+    unit: &'static str,
+    value: f64,
+    (low, high): (f64, f64),
+) -> Result<(), PlantError> {
+    if (low..=high).contains(&value) {
+        return Ok(());
+    }
+    Err(PlantError::OutOfRange {
+        name,
+        unit,
+        low,
+        high,
+        value,
+    })
 }
 
 /// `value` if it is finite.

@@ -3,7 +3,7 @@
 use crate::axle::wheel_offsets;
 use crate::dynamics::{KINEMATIC_SPEED, lateral_acceleration, roll_without_slip};
 use crate::effects::Effects;
-use crate::error::finite;
+use crate::error::{check_forward_speed, finite};
 use crate::integrator::{disturbed_longest_substep, rk4};
 use crate::state::{STATE_NAMES, StateVector, VehicleState, WHEELS, initial_state, settled};
 use crate::{Disturbances, Friction, Parameters, PlantError, Surface};
@@ -73,7 +73,7 @@ impl Plant {
     /// Resets the vehicle to a state with its suspension at rest and its wheels rolling.
     ///
     /// # Errors
-    /// [`PlantError::NotFinite`], [`PlantError::Backward`].
+    /// Those of [`initial_state`]; the state is then unchanged.
     pub fn reset(&mut self, vehicle: &VehicleState) -> Result<(), PlantError> {
         self.state = initial_state(&self.parameters, vehicle)?;
         Ok(())
@@ -82,14 +82,13 @@ impl Plant {
     /// Sets all states.
     ///
     /// # Errors
-    /// [`PlantError::NotFinite`], [`PlantError::Backward`].
+    /// [`PlantError::NotFinite`], [`PlantError::Backward`], and [`PlantError::OutOfRange`] if `v_x` is above 100 m/s. The state
+    /// is then unchanged.
     pub fn set_state(&mut self, state: &StateVector) -> Result<(), PlantError> {
         for (name, &value) in STATE_NAMES.into_iter().zip(state) {
             finite(name, value)?;
         }
-        if state[3] < 0.0 {
-            return Err(PlantError::Backward(state[3]));
-        }
+        check_forward_speed(state[3])?;
         self.state = *state;
         Ok(())
     }

@@ -1,6 +1,8 @@
 //! The 29 states, in the order of the CommonRoad multi-body vehicle.
 
-use crate::error::finite;
+use egp_parameters::{MOST_LATERAL_SPEED, MOST_STEERING_ANGLE, MOST_YAW_RATE};
+
+use crate::error::{check_forward_speed, check_range, finite};
 use crate::{Parameters, PlantError};
 
 /// Number of states.
@@ -85,16 +87,21 @@ impl VehicleState {
         Self::from_array([x[0], x[1], x[3], x[4], x[10], x[5], x[2]])
     }
 
+    /// Errors unless all numbers are finite and lie in the ranges of measured states, the speed from 0 on.
     fn checked(self) -> Result<Self, PlantError> {
         const NAMES: [&str; 7] = ["p_x", "p_y", "v_x", "psi", "v_y", "omega", "delta"];
         for (name, value) in NAMES.into_iter().zip(self.to_array()) {
             finite(name, value)?;
         }
-        if self.v_x < 0.0 {
-            Err(PlantError::Backward(self.v_x))
-        } else {
-            Ok(self)
+        check_forward_speed(self.v_x)?;
+        for (name, unit, value, most) in [
+            ("v_y", "m/s", self.v_y, MOST_LATERAL_SPEED),
+            ("omega", "rad/s", self.omega, MOST_YAW_RATE),
+            ("delta", "rad", self.delta, MOST_STEERING_ANGLE),
+        ] {
+            check_range(name, unit, value, (-most, most))?;
         }
+        Ok(self)
     }
 }
 
@@ -104,7 +111,8 @@ impl VehicleState {
 /// although the tyres are compressed, which makes the wheel loads oscillate by a tenth in the first half second.
 ///
 /// # Errors
-/// [`PlantError::NotFinite`], [`PlantError::Backward`].
+/// [`PlantError::NotFinite`], [`PlantError::Backward`], and [`PlantError::OutOfRange`] unless `v_x` is at most 100 m/s, `v_y`
+/// within ±50 m/s, `omega` within ±20 rad/s and `delta` within ±1.5 rad, as measured states of a control step are.
 pub fn initial_state(
     parameters: &Parameters,
     vehicle: &VehicleState,

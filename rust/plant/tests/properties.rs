@@ -277,6 +277,25 @@ fn errors_keep_the_state() {
         Err(PlantError::Backward(-1.0))
     );
     assert!(plant.reset(&at_speed(f64::NAN)).is_err());
+    assert!(matches!(
+        plant.reset(&at_speed(1e9)),
+        Err(PlantError::OutOfRange { name: "v_x", .. })
+    ));
+    let sideways = VehicleState {
+        v_y: -50.1,
+        ..at_speed(5.0)
+    };
+    let error = plant.reset(&sideways).unwrap_err();
+    assert_eq!(
+        error.to_string(),
+        "expected v_y from -50 to 50 m/s, got -50.1: check its unit"
+    );
+    let mut fast = before;
+    fast[3] = 100.1;
+    assert!(matches!(
+        plant.set_state(&fast),
+        Err(PlantError::OutOfRange { name: "v_x", .. })
+    ));
     assert!(plant.set_state(&[f64::NAN; 29]).is_err());
     assert_eq!(plant.state(), &before);
 

@@ -13,6 +13,7 @@ use crate::error::{InvalidArgumentError, raise};
 use crate::parameters::VehicleParameters;
 use crate::path::Path;
 use crate::speed::{SpeedProfile, tyre_rows};
+use crate::text::truth;
 use crate::wire::matrix;
 
 #[doc = doc!(SpeedPlanner)]
@@ -40,7 +41,7 @@ impl SpeedPlanner {
         };
         egp_path::SpeedPlanner::new(&path.0, &limits)
             .map(Self)
-            .map_err(raise)
+            .map_err(InvalidArgumentError::raise)
     }
 
     #[doc = doc!(SpeedPlanner.places)]
@@ -58,8 +59,19 @@ impl SpeedPlanner {
     #[pyo3(signature = (s, friction, v = None))]
     fn plan(&mut self, s: f64, friction: Vector<'_>, v: Option<f64>) -> PyResult<SpeedProfile> {
         let friction: Vec<f64> = friction.as_array().iter().copied().collect();
-        let profile = self.0.plan(s, v, &friction).map_err(raise)?;
+        let profile = self
+            .0
+            .plan(s, v, &friction)
+            .map_err(InvalidArgumentError::raise)?;
         Ok(SpeedProfile(profile.clone()))
+    }
+
+    fn __repr__(&self) -> String {
+        let (closed, places, step) = (truth(self.0.closed()), self.0.places(), self.0.step());
+        let SpeedLimits { grip, v_max, .. } = self.0.limits();
+        format!(
+            "SpeedPlanner(closed={closed}, places={places}, step={step:.3}, grip={grip:?}, v_max={v_max:?})"
+        )
     }
 }
 
@@ -95,7 +107,7 @@ impl RoadBelief {
         let points = (0..SHAPE_POINTS).map(place).map(|at| [at.x, at.y]);
         egp_map::RoadBelief::new(path.length(), path.closed(), &settings)
             .map(|belief| Self(belief.with_shape(points.collect())))
-            .map_err(raise)
+            .map_err(InvalidArgumentError::raise)
     }
 
     #[doc = doc!(RoadBelief.window)]
@@ -106,7 +118,9 @@ impl RoadBelief {
 
     #[setter]
     fn set_window(&mut self, window: usize) -> PyResult<()> {
-        self.0.set_window(window).map_err(raise)
+        self.0
+            .set_window(window)
+            .map_err(InvalidArgumentError::raise)
     }
 
     #[doc = doc!(RoadBelief.recall)]
@@ -127,14 +141,18 @@ impl RoadBelief {
         let evidence = log_likelihood
             .map(|values| fixed::<FRICTION_HYPOTHESES>("log_likelihood", &values))
             .transpose()?;
-        self.0.update(s, evidence.as_ref()).map_err(raise)
+        self.0
+            .update(s, evidence.as_ref())
+            .map_err(InvalidArgumentError::raise)
     }
 
     #[doc = doc!(RoadBelief.preview)]
     fn preview<'py>(&mut self, py: Python<'py>, places: Vector<'py>) -> PyResult<NewMatrix<'py>> {
         let places: Vec<f64> = places.as_array().iter().copied().collect();
         let mut rows = vec![[0.0; 2]; places.len() + 1];
-        self.0.preview(&places, &mut rows).map_err(raise)?;
+        self.0
+            .preview(&places, &mut rows)
+            .map_err(InvalidArgumentError::raise)?;
         matrix(py, &rows)
     }
 
@@ -160,7 +178,7 @@ impl RoadBelief {
         let mut friction = vec![0.0; places.len()];
         self.0
             .ahead(start, step, risk, &mut friction)
-            .map_err(raise)?;
+            .map_err(InvalidArgumentError::raise)?;
         Ok(vector(py, friction))
     }
 
@@ -173,14 +191,19 @@ impl RoadBelief {
     ) -> PyResult<NewVector<'py>> {
         let s = s.as_array();
         let found: PyResult<Vec<f64>> = (s.iter())
-            .map(|s| self.0.quantile(*s, share).map_err(raise))
+            .map(|s| {
+                self.0
+                    .quantile(*s, share)
+                    .map_err(InvalidArgumentError::raise)
+            })
             .collect();
         Ok(vector(py, found?))
     }
 
     #[doc = doc!(RoadBelief.tile)]
     fn tile(&self, index: usize) -> PyResult<Cow<'static, [u8]>> {
-        Ok(self.0.tile(index).map_err(raise)?.bytes().to_vec().into())
+        let tile = self.0.tile(index).map_err(InvalidArgumentError::raise)?;
+        Ok(tile.bytes().to_vec().into())
     }
 
     #[doc = doc!(RoadBelief.take_changed)]
@@ -191,7 +214,9 @@ impl RoadBelief {
     #[doc = doc!(RoadBelief.report)]
     fn report(&mut self, index: usize, tile: &[u8]) -> PyResult<()> {
         let tile = Tile::from_bytes(tile).map_err(raise)?;
-        self.0.report(index, &tile).map_err(raise)
+        self.0
+            .report(index, &tile)
+            .map_err(InvalidArgumentError::raise)
     }
 
     #[doc = doc!(RoadBelief.tiles)]
@@ -204,6 +229,16 @@ impl RoadBelief {
     #[getter]
     fn trust(&self) -> Option<f64> {
         self.0.trust()
+    }
+
+    fn __repr__(&self) -> String {
+        let (length, closed) = (self.0.length(), truth(self.0.closed()));
+        let (window, tiles) = (self.0.window(), self.0.tiles());
+        let trust = self.0.trust().map(|trust| format!(", trust={trust:.3}"));
+        let trust = trust.unwrap_or_default();
+        format!(
+            "RoadBelief(length={length:.3}, closed={closed}, window={window}, tiles={tiles}{trust})"
+        )
     }
 }
 
@@ -250,7 +285,7 @@ pub fn merge_tiles(
         capacity: capacity.unwrap_or(default.capacity),
         lifetime: lifetime.unwrap_or(default.lifetime),
     };
-    settings.validate().map_err(raise)?;
+    settings.validate().map_err(InvalidArgumentError::raise)?;
     let read = |(bytes, age): &(Bound<'_, PyBytes>, f64)| {
         check_age(*age)?;
         Ok((Tile::from_bytes(bytes.as_bytes()).map_err(raise)?, *age))

@@ -7,7 +7,8 @@ use egp_driver::Discovery;
 use pyo3::prelude::*;
 
 use crate::driver::driver_config;
-use crate::error::{InvalidArgumentError, raise};
+use crate::error::InvalidArgumentError;
+use crate::wire::name;
 
 /// Finds a replica that is ready by asking those that announce themselves in turn.
 #[pyclass(name = "Discovery", module = "egp_service._core")]
@@ -33,13 +34,13 @@ impl Discover {
 
     /// Note that a replica announces itself.
     fn replica_appeared(&mut self, replica: &str) -> PyResult<()> {
-        self.0.replica_appeared(replica.parse().map_err(raise)?);
+        self.0.replica_appeared(name(replica)?);
         Ok(())
     }
 
     /// Note that a replica withdrew its announcement or was lost.
     fn replica_gone(&mut self, replica: &str) -> PyResult<()> {
-        self.0.replica_gone(&replica.parse().map_err(raise)?);
+        self.0.replica_gone(&name(replica)?);
         Ok(())
     }
 
@@ -64,7 +65,7 @@ impl Discover {
     /// A replica can be used if its description is valid and says that it is ready, if the gate allows no more than the
     /// vehicle that the replica plans for can do, and if the attachment has the tag of the vehicle's key, if there is one.
     fn is_usable(&mut self, replica: &str, answer: &[u8], attachment: &[u8]) -> PyResult<bool> {
-        let replica = replica.parse().map_err(raise)?;
+        let replica = name(replica)?;
         Ok(self.0.answered(&replica, answer, attachment).is_some())
     }
 

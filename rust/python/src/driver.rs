@@ -13,7 +13,7 @@ use crate::array::{KeptMatrix, KeptVector, NewVector, fixed, rows, vector};
 use crate::error::{InvalidArgumentError, raise};
 use crate::gate::configure;
 use crate::traces::Tracing;
-use crate::wire::{Friction, matrix};
+use crate::wire::{Friction, matrix, name};
 
 /// A question to a replica, to be sent as it is. The driver is told the answer with the query's `id`.
 #[pyclass(module = "egp_service._core", frozen, get_all)]
@@ -208,8 +208,10 @@ where
     })
 }
 
-fn time(seconds: f64) -> PyResult<Duration> {
-    Duration::try_from_secs_f64(seconds).map_err(raise)
+/// A time of the driver's clock, or a part of a period, in s.
+pub fn time(seconds: f64) -> PyResult<Duration> {
+    let reason = || format!("expected a time in s from 0 on, got {seconds}");
+    Duration::try_from_secs_f64(seconds).map_err(|_| InvalidArgumentError::new_err(reason()))
 }
 
 /// Decides for one vehicle which replica to ask, how long to wait, and which replies to use.
@@ -253,22 +255,20 @@ impl Driver {
 
     /// Note that a replica announces itself.
     fn replica_appeared(&mut self, now: f64, replica: &str) -> PyResult<()> {
-        self.0
-            .replica_appeared(time(now)?, replica.parse().map_err(raise)?);
+        self.0.replica_appeared(time(now)?, name(replica)?);
         Ok(())
     }
 
     /// Note that the replica that announces itself gave the description with which the driver was made. Any other replica
     /// is asked for steps only after it has answered a query of its `ready` key, which is one of the driver's actions.
     fn replica_fits(&mut self, replica: &str) -> PyResult<()> {
-        self.0.replica_fits(&replica.parse().map_err(raise)?);
+        self.0.replica_fits(&name(replica)?);
         Ok(())
     }
 
     /// Note that a replica withdrew its announcement or was lost.
     fn replica_gone(&mut self, now: f64, replica: &str) -> PyResult<()> {
-        self.0
-            .replica_gone(time(now)?, &replica.parse().map_err(raise)?);
+        self.0.replica_gone(time(now)?, &name(replica)?);
         Ok(())
     }
 

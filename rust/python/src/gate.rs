@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use egp_gate::Limits;
+use egp_gate::{GateError, Limits};
 use pyo3::prelude::*;
 
 use crate::error::{InvalidArgumentError, raise};
@@ -81,12 +81,16 @@ impl Gate {
             max_tail_ticks.unwrap_or_else(|| egp_gate::Gate::default_tail_ticks(dt));
         egp_gate::Gate::new(limits, dt, max_tail_ticks, stop_deceleration)
             .map(Self)
-            .map_err(raise)
+            .map_err(InvalidArgumentError::raise)
     }
 
-    /// Store a plan of (T, 2) inputs whose first one is meant for period `tick`.
+    /// Store a plan of (T, 2) inputs whose first one is meant for period `tick`. Raises `InvalidArgumentError` for a plan that
+    /// is none, and `EgpError` if the gate has stopped the vehicle or has a newer plan.
     fn accept(&mut self, tick: u64, plan_u: Vec<[f64; 2]>) -> PyResult<()> {
-        self.0.accept(tick, &plan_u).map_err(raise)
+        self.0.accept(tick, &plan_u).map_err(|error| match error {
+            GateError::Stale { .. } | GateError::Stopped => raise(error),
+            _ => InvalidArgumentError::raise(error),
+        })
     }
 
     /// Return the command of period `tick` at this measured speed and steering angle.

@@ -10,21 +10,25 @@ mod belief;
 mod discovery;
 mod driver;
 mod error;
+mod failure;
 mod gate;
 mod library;
 mod library_writer;
 mod map;
+mod member;
 mod ocp;
 mod parameters;
 mod path;
 mod plant;
 mod problem;
 mod programs;
+mod projection;
 mod residual;
 mod service;
 mod speed;
 mod surface;
 mod testing;
+mod text;
 mod traces;
 mod wire;
 
@@ -35,8 +39,18 @@ mod _core {
 
     #[pymodule]
     mod belief {
+        use pyo3::prelude::*;
+        use pyo3::types::PyTuple;
+
         #[pymodule_export]
         use crate::belief::{RoadBelief, SpeedPlanner, merge_tiles};
+
+        #[pymodule_init]
+        fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+            let hypotheses = egp_parameters::friction_hypotheses();
+            let hypotheses = PyTuple::new(module.py(), hypotheses)?;
+            module.add("FRICTION_HYPOTHESES", hypotheses)
+        }
     }
 
     #[pymodule]
@@ -58,9 +72,11 @@ mod _core {
     #[pymodule]
     mod library {
         #[pymodule_export]
-        use crate::library::{Library, Member};
+        use crate::library::Library;
         #[pymodule_export]
         use crate::library_writer::{MemberData, write_library, write_library_subset};
+        #[pymodule_export]
+        use crate::member::Member;
     }
 
     #[pymodule]
@@ -85,7 +101,9 @@ mod _core {
     #[pymodule]
     mod path {
         #[pymodule_export]
-        use crate::path::{Path, Projection};
+        use crate::path::Path;
+        #[pymodule_export]
+        use crate::projection::Projection;
         #[pymodule_export]
         use crate::speed::{SpeedProfile, horizon_reference};
     }

@@ -1,100 +1,154 @@
-//! `Library` and `Member`.
+//! `Library`.
 
 use std::collections::BTreeMap;
-use std::io;
-use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::path::PathBuf;
 
-use egp_core::gp::Hyperparameters;
 use egp_core::library;
-use egp_core::vehicle::{ModelParameters, Resistance, VehicleModel};
 use egp_core::{GpInput, GpJacobian, NY, NZ, VarianceScratch};
 use egp_engine::read_library;
-use pyo3::exceptions::{PyIndexError, PyOSError};
+use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
+use pyo3::types::{PyBytes, PyType};
 
 use crate::array::{Matrix, NewCube, NewMatrix, NewVector, array, rows, vector};
-use crate::error::{InvalidArgumentError, LibraryError};
+use crate::error::InvalidArgumentError;
+use crate::failure::{Failure, os_error};
+use crate::member::Member;
 use crate::parameters::VehicleParameters;
+use crate::text::{list, quoted};
 
 /// Means, Jacobians and latent variances at a number of points.
 type Prediction<'py> = (NewMatrix<'py>, NewCube<'py>, NewMatrix<'py>);
 
 #[doc = doc!(Library)]
 #[pyclass(module = "egp_service._core", frozen)]
-pub struct Library(Arc<egp_core::Library>);
+pub struct Library {
+    pub inner: egp_core::Library,
+    /// The file's, of which pickle makes the library again. They are a small part of what the factors take.
+    bytes: Py<PyBytes>,
+}
 
 #[pymethods]
 impl Library {
     #[doc = doc!(Library.load)]
     #[staticmethod]
     fn load(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
-        py.detach(|| {
+        let read = py.detach(|| {
             let bytes = read_library(&path).map_err(|error| os_error(&error, &path))?;
-            egp_core::Library::from_bytes(&bytes).map_err(|refusal| Failure::File(refusal, path))
-        })
-        .map(|library| Self(Arc::new(library)))
-        .map_err(|failure| failure.raise(py))
+            let library = egp_core::Library::from_bytes(&bytes);
+            let inner = library.map_err(|refusal| Failure::File(refusal, path))?;
+            Ok((inner, bytes))
+        });
+        let (inner, bytes) = read.map_err(|failure: Failure| failure.raise(py))?;
+        let bytes = PyBytes::new(py, &bytes).unbind();
+        Ok(Self { inner, bytes })
+    }
+
+    /// The file's bytes, which pickle verifies and factors again.
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyAny>, (Py<PyBytes>,))> {
+        let bytes = slf.get().bytes.clone_ref(slf.py());
+        Ok((slf.get_type().getattr("_restore")?, (bytes,)))
+    }
+
+    /// The library of a file's bytes. Raises `LibraryError` if they fail a check.
+    #[classmethod]
+    fn _restore(cls: &Bound<'_, PyType>, bytes: Bound<'_, PyBytes>) -> PyResult<Self> {
+        let (py, content) = (cls.py(), bytes.as_bytes());
+        let inner = py
+            .detach(|| egp_core::Library::from_bytes(content))
+            .map_err(|refusal| Failure::Refused(refusal).raise(py))?;
+        let bytes = bytes.unbind();
+        Ok(Self { inner, bytes })
+    }
+
+    /// The library itself, which does not change.
+    fn __copy__(slf: Py<Self>) -> Py<Self> {
+        slf
+    }
+
+    /// The library itself, which does not change.
+    #[pyo3(signature = (_memo, /))]
+    fn __deepcopy__(slf: Py<Self>, _memo: &Bound<'_, PyAny>) -> Py<Self> {
+        slf
+    }
+
+    fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
+        let labels: Vec<&str> = (self.inner.members().iter())
+            .map(egp_core::Member::label)
+            .collect();
+        let (members, vehicle) = (list(py, &labels)?, quoted(py, self.vehicle())?);
+        let (dt, kernel, id) = (self.dt(), self.kernel(), self.id());
+        Ok(format!(
+            "Library(members={members}, dt={dt:?}, kernel='{kernel}', vehicle={vehicle}, id='{id:.12}...')"
+        ))
     }
 
     #[doc = doc!(Library.id)]
     #[getter]
     fn id(&self) -> String {
-        library::hex(&self.0.id())
+        library::hex(&self.inner.id())
     }
 
     #[doc = doc!(Library.dt)]
     #[getter]
     fn dt(&self) -> f64 {
-        self.0.dt()
+        self.inner.dt()
     }
 
     #[doc = doc!(Library.kernel)]
     #[getter]
     fn kernel(&self) -> &'static str {
-        self.0.kernel().name()
+        self.inner.kernel().name()
     }
 
     #[doc = doc!(Library.vehicle)]
     #[getter]
     fn vehicle(&self) -> &str {
-        &self.0.metadata().vehicle
+        &self.inner.metadata().vehicle
     }
 
     #[doc = doc!(Library.parameters)]
     #[getter]
     fn parameters(&self) -> VehicleParameters {
-        VehicleParameters(*self.0.vehicle())
+        VehicleParameters(*self.inner.vehicle())
     }
 
     #[doc = doc!(Library.measurement_noise)]
     #[getter]
     fn measurement_noise<'py>(&self, py: Python<'py>) -> Option<NewVector<'py>> {
-        let noise = self.0.metadata().measurement_noise?;
+        let noise = self.inner.metadata().measurement_noise?;
         Some(vector(py, noise))
     }
 
     #[doc = doc!(Library.measurement_delay)]
     #[getter]
     fn measurement_delay(&self) -> Option<f64> {
-        self.0.metadata().measurement_delay
+        self.inner.metadata().measurement_delay
     }
 
     #[doc = doc!(Library.provenance)]
     #[getter]
     fn provenance(&self) -> BTreeMap<String, String> {
-        self.0.metadata().provenance.clone()
+        self.inner.metadata().provenance.clone()
     }
 
     #[doc = doc!(Library.members)]
     #[getter]
-    fn members(&self) -> Vec<Member> {
-        (0..self.0.members().len())
+    fn members(slf: &Bound<'_, Self>) -> Vec<Member> {
+        (0..slf.get().inner.members().len())
             .map(|index| Member {
-                library: self.0.clone(),
+                library: slf.clone().unbind(),
                 index,
             })
             .collect()
+    }
+
+    /// A member, of which pickle makes a member of the same library.
+    #[pyo3(name = "_member")]
+    fn member_at(slf: &Bound<'_, Self>, index: usize) -> PyResult<Member> {
+        slf.get().member(index)?;
+        let library = slf.clone().unbind();
+        Ok(Member { library, index })
     }
 
     #[doc = doc!(Library.predict)]
@@ -138,7 +192,7 @@ impl Library {
 
 impl Library {
     fn member(&self, index: usize) -> PyResult<&egp_core::Member> {
-        let members = self.0.members();
+        let members = self.inner.members();
         members.get(index).ok_or_else(|| {
             let count = members.len();
             PyIndexError::new_err(format!("member {index} of a library of {count}"))
@@ -183,191 +237,4 @@ fn predict(member: &egp_core::Member, z: &[[f64; NZ]]) -> (Vec<f64>, Vec<f64>, V
         variances.extend(member.variance(&z, &mut scratch).iter());
     }
     (means, jacobians, variances)
-}
-
-#[doc = doc!(Member)]
-#[pyclass(module = "egp_service._core", frozen)]
-pub struct Member {
-    library: Arc<egp_core::Library>,
-    index: usize,
-}
-
-impl Member {
-    fn get(&self) -> &egp_core::Member {
-        &self.library.members()[self.index]
-    }
-
-    fn each<'py>(&self, py: Python<'py>, value: fn(&Hyperparameters) -> f64) -> NewVector<'py> {
-        vector(py, self.get().hyperparameters().iter().map(value))
-    }
-}
-
-#[pymethods]
-impl Member {
-    #[doc = doc!(Member.label)]
-    #[getter]
-    fn label(&self) -> &str {
-        self.get().label()
-    }
-
-    #[doc = doc!(Member.friction)]
-    #[getter]
-    fn friction(&self) -> f64 {
-        self.get().friction()
-    }
-
-    #[doc = doc!(Member.peak_slip)]
-    #[getter]
-    fn peak_slip(&self) -> f64 {
-        self.get().peak_slip(self.library.vehicle())
-    }
-
-    #[doc = doc!(Member.lateral_grip)]
-    #[getter]
-    fn lateral_grip(&self) -> f64 {
-        self.get().lateral_grip(self.library.vehicle())
-    }
-
-    #[doc = doc!(Member.dataset)]
-    #[getter]
-    fn dataset(&self) -> &str {
-        self.get().dataset()
-    }
-
-    #[doc = doc!(Member.n_points)]
-    #[getter]
-    fn n_points(&self) -> usize {
-        self.get().n_points()
-    }
-
-    #[doc = doc!(Member.envelope)]
-    #[getter]
-    fn envelope<'py>(&self, py: Python<'py>) -> PyResult<NewMatrix<'py>> {
-        let (min, max) = self.get().envelope();
-        array(py, min.iter().chain(max.iter()).copied().collect(), [2, NZ])
-    }
-
-    #[doc = doc!(Member.lengthscales)]
-    #[getter]
-    fn lengthscales<'py>(&self, py: Python<'py>) -> PyResult<NewMatrix<'py>> {
-        array(
-            py,
-            self.get()
-                .hyperparameters()
-                .iter()
-                .flat_map(|hyper| hyper.lengthscales)
-                .collect(),
-            [NY, NZ],
-        )
-    }
-
-    #[doc = doc!(Member.outputscale)]
-    #[getter]
-    fn outputscale<'py>(&self, py: Python<'py>) -> NewVector<'py> {
-        self.each(py, |hyper| hyper.outputscale)
-    }
-
-    #[doc = doc!(Member.noise)]
-    #[getter]
-    fn noise<'py>(&self, py: Python<'py>) -> NewVector<'py> {
-        self.each(py, |hyper| hyper.noise)
-    }
-
-    #[doc = doc!(Member.constant)]
-    #[getter]
-    fn constant<'py>(&self, py: Python<'py>) -> NewVector<'py> {
-        self.each(py, |hyper| hyper.constant)
-    }
-
-    #[doc = doc!(Member.single_track)]
-    #[getter]
-    fn single_track<'py>(&self, py: Python<'py>) -> Option<NewVector<'py>> {
-        match self.get().vehicle()?.parameters() {
-            ModelParameters::SingleTrack(parameters) => Some(vector(py, parameters)),
-            ModelParameters::Kinematic(_) => None,
-        }
-    }
-
-    #[doc = doc!(Member.euler_steps)]
-    #[getter]
-    fn euler_steps(&self) -> u32 {
-        match self.get().vehicle() {
-            Some(VehicleModel::SingleTrack(vehicle)) => vehicle.steps(),
-            Some(VehicleModel::Kinematic(_)) | None => 1,
-        }
-    }
-
-    #[doc = doc!(Member.resistance)]
-    #[getter]
-    fn resistance<'py>(&self, py: Python<'py>) -> Option<NewVector<'py>> {
-        match self.get().vehicle()? {
-            VehicleModel::SingleTrack(vehicle) => {
-                let Resistance { rolling, drag } = vehicle.resistance();
-                Some(vector(py, [rolling, drag]))
-            }
-            VehicleModel::Kinematic(_) => None,
-        }
-    }
-
-    #[doc = doc!(Member.kinematic)]
-    #[getter]
-    fn kinematic<'py>(&self, py: Python<'py>) -> Option<NewVector<'py>> {
-        match self.get().vehicle()?.parameters() {
-            ModelParameters::Kinematic(parameters) => Some(vector(py, parameters)),
-            ModelParameters::SingleTrack(_) => None,
-        }
-    }
-
-    #[doc = doc!(Member.noise_std)]
-    #[getter]
-    fn noise_std<'py>(&self, py: Python<'py>) -> NewVector<'py> {
-        vector(py, self.get().noise_std().iter().copied())
-    }
-}
-
-/// An error while Python's lock was released.
-pub enum Failure {
-    Refused(library::LibraryError),
-    /// What is wrong with the library in this file.
-    File(library::LibraryError, PathBuf),
-    Io {
-        errno: Option<i32>,
-        message: String,
-        path: PathBuf,
-    },
-}
-
-/// An error of the file system about `path`.
-pub fn os_error(error: &io::Error, path: &Path) -> Failure {
-    Failure::Io {
-        errno: error.raw_os_error(),
-        message: error.to_string(),
-        path: path.to_owned(),
-    }
-}
-
-fn refused(py: Python<'_>, message: String, refusal: &library::LibraryError) -> PyErr {
-    let error = LibraryError::new_err(message);
-    match error.value(py).setattr("code", refusal.code()) {
-        Ok(()) => error,
-        Err(error) => error,
-    }
-}
-
-impl Failure {
-    /// The error as an exception of Python.
-    pub fn raise(self, py: Python<'_>) -> PyErr {
-        match self {
-            Self::Refused(refusal) => refused(py, refusal.to_string(), &refusal),
-            Self::File(refusal, path) => {
-                refused(py, format!("{}: {refusal}", path.display()), &refusal)
-            }
-            // With three arguments Python chooses the subclass, such as FileNotFoundError, by the number.
-            Self::Io {
-                errno,
-                message,
-                path,
-            } => PyOSError::new_err((errno, message, path)),
-        }
-    }
 }

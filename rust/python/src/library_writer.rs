@@ -10,8 +10,8 @@ use egp_engine::{read_library, replace_file};
 use pyo3::prelude::*;
 
 use crate::array::{Cube, Matrix, Vector, fixed, layers, rows, wrong_shape};
-use crate::error::{EgpError, InvalidArgumentError};
-use crate::library::{Failure, os_error};
+use crate::error::InvalidArgumentError;
+use crate::failure::{Failure, os_error};
 use crate::parameters::VehicleParameters;
 
 /// One surface's vehicle and GPs, to be written into a file; M points, G golden points.
@@ -71,13 +71,13 @@ impl MemberData {
             (Some(p), None) => Some(ModelParameters::SingleTrack(fixed("single_track", &p)?)),
             (None, Some(p)) => Some(ModelParameters::Kinematic(fixed("kinematic", &p)?)),
             (Some(_), Some(_)) => {
-                return Err(EgpError::new_err(
+                return Err(InvalidArgumentError::new_err(
                     "a member has one vehicle: give `single_track` or `kinematic`",
                 ));
             }
         };
         if resistance.is_some() && !matches!(vehicle, Some(ModelParameters::SingleTrack(_))) {
-            return Err(EgpError::new_err(
+            return Err(InvalidArgumentError::new_err(
                 "`resistance` is that of a single-track vehicle: give `single_track`, too",
             ));
         }

@@ -73,7 +73,7 @@ pub struct RoadTile {
     origins: Vec<(String, f64)>,
 }
 
-/// Bytes of a TileEvidence. Raises `EgpError` unless the age in s is at most 49 days.
+/// Bytes of a TileEvidence. Raises `InvalidArgumentError` unless the age in s is at most 49 days.
 #[pyfunction]
 pub fn encode_tile_evidence(tile: &[u8], age: f64) -> PyResult<Cow<'static, [u8]>> {
     let milliseconds = (1e3 * age).round();

@@ -38,6 +38,24 @@ pub struct OcpResult {
     seconds: f64,
 }
 
+#[pymethods]
+impl OcpResult {
+    fn __repr__(&self) -> String {
+        let Self {
+            status,
+            iterations,
+            kkt_residual,
+            solver,
+            seconds,
+            ..
+        } = self;
+        format!(
+            "OcpResult(status='{status}', iterations={iterations}, kkt_residual={kkt_residual:.1e}, solver='{solver}', \
+             seconds={seconds:.1e})"
+        )
+    }
+}
+
 #[doc = doc!(solve_ocp)]
 #[pyfunction]
 #[pyo3(signature = (A, B, c, x0, u_prev, reference, weights, bounds, *, solver = "riccati", guess = None,

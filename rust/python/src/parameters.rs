@@ -8,7 +8,7 @@ use pyo3::prelude::*;
 use serde::Deserialize as _;
 use serde::de::value::{Error, MapDeserializer};
 
-use crate::error::raise;
+use crate::error::InvalidArgumentError;
 
 #[doc = doc!(VehicleParameters)]
 #[pyclass(module = "egp_service._core", frozen, eq)]
@@ -34,15 +34,15 @@ macro_rules! methods {
                 let fields = fields.unwrap_or_default();
                 let deserializer = MapDeserializer::<_, Error>::new(fields.into_iter());
                 let vehicle = egp_parameters::VehicleParameters::deserialize(deserializer)
-                    .map_err(|error| raise(format!("vehicle parameters: {error}")))?;
-                vehicle.validate().map_err(raise)?;
+                    .map_err(|error| InvalidArgumentError::new_err(format!("vehicle parameters: {error}")))?;
+                vehicle.validate().map_err(InvalidArgumentError::raise)?;
                 Ok(Self(vehicle))
             }
 
             #[doc = doc!(VehicleParameters.commonroad)]
             #[staticmethod]
             fn commonroad(number: u32) -> PyResult<Self> {
-                let id = VehicleId::try_from(number).map_err(raise)?;
+                let id = VehicleId::try_from(number).map_err(InvalidArgumentError::raise)?;
                 Ok(Self(id.vehicle()))
             }
 

@@ -1,20 +1,25 @@
-//! `Path` and `Projection`.
+//! `Path`.
 
 use std::fmt::Display;
 use std::fs;
 use std::io::ErrorKind;
 use std::path::PathBuf;
 
-use egp_path::Zone;
 use egp_path::formats::read_track;
 use egp_path::tracks::{
     Corner, DoubleLaneChange, LShape, LaneChanges, RandomTrack, RoundedRectangle,
 };
+use egp_path::{PathError, PathParts, Zone};
 use pyo3::prelude::*;
 
-use crate::array::{Matrix, NewVector, Vector, fixed, rows, vector};
-use crate::error::{EgpError, InvalidArgumentError, raise};
-use crate::surface::SurfaceValue;
+use pyo3::types::PyType;
+
+use crate::array::{Cube, Matrix, NewCube, NewMatrix, NewVector, Vector};
+use crate::array::{array, fixed, layers, rows, vector};
+use crate::error::{InvalidArgumentError, raise, system_text};
+use crate::projection::Projection;
+use crate::surface::{SurfaceNumbers, SurfaceValue, from_numbers, numbers};
+use crate::text::truth;
 
 /// x, y, yaw, curvature, left, right, friction.
 type Samples<'py> = (
@@ -58,7 +63,7 @@ impl Path {
         // A long path takes a control period and more.
         py.detach(|| egp_path::Path::from_points(&points, closed, widths.as_deref()))
             .map(Self)
-            .map_err(raise)
+            .map_err(InvalidArgumentError::raise)
     }
 
     #[doc = doc!(Path.rounded_rectangle)]
@@ -80,7 +85,7 @@ impl Path {
         }
         .path()
         .map(Self)
-        .map_err(raise)
+        .map_err(InvalidArgumentError::raise)
     }
 
     #[doc = doc!(Path.l_shape)]
@@ -106,7 +111,7 @@ impl Path {
         }
         .path()
         .map(Self)
-        .map_err(raise)
+        .map_err(InvalidArgumentError::raise)
     }
 
     #[doc = doc!(Path.iso_3888_2)]
@@ -121,7 +126,7 @@ impl Path {
         }
         .path()
         .map(Self)
-        .map_err(raise)
+        .map_err(InvalidArgumentError::raise)
     }
 
     #[doc = doc!(Path.lane_changes)]
@@ -143,7 +148,7 @@ impl Path {
         }
         .path()
         .map(Self)
-        .map_err(raise)
+        .map_err(InvalidArgumentError::raise)
     }
 
     #[doc = doc!(Path.random)]
@@ -158,7 +163,7 @@ impl Path {
         }
         .path()
         .map(Self)
-        .map_err(raise)
+        .map_err(InvalidArgumentError::raise)
     }
 
     #[doc = doc!(Path.from_csv)]
@@ -170,11 +175,14 @@ impl Path {
             ErrorKind::InvalidData => {
                 refuse(&"this is no text in UTF-8; save the table as UTF-8, or give another file")
             }
-            _ => refuse(&error),
+            _ => refuse(&system_text(&error)),
         })?;
         read_track(&text, scale)
             .map(Self)
-            .map_err(|error| refuse(&error))
+            .map_err(|error| match error {
+                PathError::Parameter { name: "scale", .. } => InvalidArgumentError::raise(error),
+                _ => refuse(&error),
+            })
     }
 
     #[doc = doc!(Path.with_friction)]
@@ -198,7 +206,7 @@ impl Path {
             .clone()
             .with_friction(&checked)
             .map(Self)
-            .map_err(raise)
+            .map_err(InvalidArgumentError::raise)
     }
 
     #[doc = doc!(Path.length)]
@@ -216,12 +224,12 @@ impl Path {
     #[doc = doc!(Path.project)]
     #[pyo3(signature = (position, hint = None))]
     fn project(&self, position: Vector<'_>, hint: Option<f64>) -> PyResult<Projection> {
-        let position = fixed("position", &position)?;
-        if !position.into_iter().chain(hint).all(f64::is_finite) {
-            return Err(EgpError::new_err(format!(
-                "expected a finite position and hint, got {position:?} and {hint:?}"
-            )));
+        let position: [f64; 2] = fixed("position", &position)?;
+        if !position.into_iter().all(f64::is_finite) {
+            let reason = format!("expected a finite position, got {position:?}");
+            return Err(InvalidArgumentError::new_err(reason));
         }
+        check_hint(hint)?;
         Ok(self.0.project(position, hint).into())
     }
 
@@ -241,60 +249,93 @@ impl Path {
         ))
     }
 
+    /// The numbers that the path consists of, of which pickle makes the same path again, bit for bit.
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyAny>, Parts<'py>)> {
+        let py = slf.py();
+        let parts = slf.get().0.parts();
+        let count = parts.pieces.len();
+        let pieces = parts.pieces.into_flattened().into_flattened();
+        let widths = parts.widths.map(|widths| {
+            let knots = widths.len();
+            array(py, widths.into_flattened(), [knots, 2])
+        });
+        let zones = parts.zones.iter().map(|zone| {
+            let right = zone.right.as_ref().map(numbers);
+            (zone.start, numbers(&zone.surface), right)
+        });
+        let parts = (
+            parts.closed,
+            parts.step,
+            array(py, pieces, [count, 2, 4])?,
+            widths.transpose()?,
+            zones.collect(),
+        );
+        Ok((slf.get_type().getattr("_restore")?, parts))
+    }
+
+    /// The path of the numbers of `__reduce__`. Raises `InvalidArgumentError` if they are none of a path.
+    #[classmethod]
+    fn _restore(
+        _cls: &Bound<'_, PyType>,
+        closed: bool,
+        step: f64,
+        pieces: Cube<'_>,
+        widths: Option<Matrix<'_>>,
+        zones: Vec<ZoneNumbers>,
+    ) -> PyResult<Self> {
+        let zones = zones.into_iter().map(|(start, surface, right)| Zone {
+            start,
+            surface: from_numbers(surface),
+            right: right.map(from_numbers),
+        });
+        let parts = PathParts {
+            closed,
+            step,
+            pieces: layers("pieces", &pieces)?,
+            widths: widths.map(|widths| rows("widths", &widths)).transpose()?,
+            zones: zones.collect(),
+        };
+        egp_path::Path::from_parts(parts)
+            .map(Self)
+            .map_err(InvalidArgumentError::raise)
+    }
+
+    /// The path itself, which does not change.
+    fn __copy__(slf: Py<Self>) -> Py<Self> {
+        slf
+    }
+
+    /// The path itself, which does not change.
+    #[pyo3(signature = (_memo, /))]
+    fn __deepcopy__(slf: Py<Self>, _memo: &Bound<'_, PyAny>) -> Py<Self> {
+        slf
+    }
+
     fn __repr__(&self) -> String {
-        let (length, closed) = (self.0.length(), self.0.closed());
-        let closed = if closed { "True" } else { "False" };
+        let (length, closed) = (self.0.length(), truth(self.0.closed()));
         format!("Path(length={length:.3}, closed={closed})")
     }
 }
 
-#[doc = doc!(Projection)]
-#[pyclass(module = "egp_service._core", frozen, get_all)]
-pub struct Projection {
-    #[doc = doc!(Projection.s)]
-    s: f64,
-    #[doc = doc!(Projection.lateral)]
-    lateral: f64,
-    #[doc = doc!(Projection.x)]
-    x: f64,
-    #[doc = doc!(Projection.y)]
-    y: f64,
-    #[doc = doc!(Projection.yaw)]
-    yaw: f64,
-    #[doc = doc!(Projection.curvature)]
-    curvature: f64,
-    #[doc = doc!(Projection.left)]
-    left: f64,
-    #[doc = doc!(Projection.right)]
-    right: f64,
-    #[doc = doc!(Projection.friction)]
-    friction: f64,
-}
+/// Start of a zone, its surface, and that to the right of the path on a split road.
+type ZoneNumbers = (f64, SurfaceNumbers, Option<SurfaceNumbers>);
 
-impl From<egp_path::Projection> for Projection {
-    fn from(projection: egp_path::Projection) -> Self {
-        let egp_path::Projection { s, lateral, sample } = projection;
-        Self {
-            s,
-            lateral,
-            x: sample.x,
-            y: sample.y,
-            yaw: sample.yaw,
-            curvature: sample.curvature,
-            left: sample.left,
-            right: sample.right,
-            friction: sample.friction,
-        }
-    }
-}
+/// The numbers of a path: whether it is closed, the step, the pieces (n, 2, 4), the widths (knots, 2), and the zones.
+type Parts<'py> = (
+    bool,
+    f64,
+    NewCube<'py>,
+    Option<NewMatrix<'py>>,
+    Vec<ZoneNumbers>,
+);
 
-#[pymethods]
-impl Projection {
-    fn __repr__(&self) -> String {
-        let Self {
-            s, lateral, yaw, ..
-        } = self;
-        format!("Projection(s={s:.3}, lateral={lateral:.3}, yaw={yaw:.4})")
+/// Errors unless the argument `hint` is finite, if it is given.
+pub fn check_hint(hint: Option<f64>) -> PyResult<()> {
+    match hint {
+        Some(hint) if !hint.is_finite() => Err(InvalidArgumentError::new_err(format!(
+            "expected a finite hint, got {hint}"
+        ))),
+        _ => Ok(()),
     }
 }
 

@@ -8,8 +8,9 @@ use serde::Deserialize as _;
 use serde::de::value::{Error, MapDeserializer};
 
 use crate::array::{NewVector, Vector, fixed, vector};
-use crate::error::{EgpError, VehicleLostError, raise};
+use crate::error::{InvalidArgumentError, VehicleLostError};
 use crate::parameters::VehicleParameters;
+use crate::path::check_hint;
 use crate::surface::Road;
 
 #[doc = doc!(Plant)]
@@ -21,13 +22,15 @@ impl Plant {
     #[new]
     #[pyo3(signature = (vehicle = 1, disturbances = None))]
     fn new(vehicle: u32, disturbances: Option<BTreeMap<String, f64>>) -> PyResult<Self> {
-        let id = VehicleId::try_from(vehicle).map_err(raise)?;
+        let id = VehicleId::try_from(vehicle).map_err(InvalidArgumentError::raise)?;
         let mut plant = egp_plant::Plant::new(id.parameters());
         if let Some(fields) = disturbances {
             let deserializer = MapDeserializer::<_, Error>::new(fields.into_iter());
             let disturbances = Disturbances::deserialize(deserializer)
-                .map_err(|error| raise(format!("disturbances: {error}")))?;
-            plant.disturb(&disturbances).map_err(raise)?;
+                .map_err(|error| InvalidArgumentError::new_err(format!("disturbances: {error}")))?;
+            plant
+                .disturb(&disturbances)
+                .map_err(InvalidArgumentError::raise)?;
         }
         Ok(Self(plant, id))
     }
@@ -46,7 +49,7 @@ impl Plant {
         delta: f64,
     ) -> PyResult<()> {
         let state = VehicleState::from_array([x, y, v, yaw, v_y, yaw_rate, delta]);
-        self.0.reset(&state).map_err(raise)
+        self.0.reset(&state).map_err(InvalidArgumentError::raise)
     }
 
     #[doc = doc!(Plant.step)]
@@ -59,19 +62,10 @@ impl Plant {
         hint: Option<f64>,
     ) -> PyResult<()> {
         let input = fixed("u", &u)?;
-        if let Some(hint) = hint.filter(|hint| !hint.is_finite()) {
-            return Err(EgpError::new_err(format!(
-                "expected a finite hint, got {hint}"
-            )));
-        }
+        check_hint(hint)?;
         let friction = friction.friction(hint)?;
         let stepped = self.0.step(input, dt, friction.as_ref());
-        stepped.map_err(|error| match error {
-            PlantError::Spun { .. } | PlantError::Diverged { .. } => {
-                VehicleLostError::new_err(error.to_string())
-            }
-            _ => raise(error),
-        })
+        stepped.map_err(plant_error)
     }
 
     #[doc = doc!(Plant.state)]
@@ -82,7 +76,9 @@ impl Plant {
 
     #[setter]
     fn set_state(&mut self, state: Vector<'_>) -> PyResult<()> {
-        self.0.set_state(&fixed("state", &state)?).map_err(raise)
+        self.0
+            .set_state(&fixed("state", &state)?)
+            .map_err(InvalidArgumentError::raise)
     }
 
     #[doc = doc!(Plant.vehicle_state)]
@@ -101,5 +97,23 @@ impl Plant {
     #[getter]
     fn mass(&self) -> f64 {
         self.0.parameters().mass
+    }
+
+    fn __repr__(&self) -> String {
+        let VehicleState {
+            p_x, p_y, v_x, psi, ..
+        } = self.0.vehicle_state();
+        let vehicle = self.1.number();
+        format!("Plant(vehicle={vehicle}, x={p_x:.3}, y={p_y:.3}, yaw={psi:.4}, v={v_x:.3})")
+    }
+}
+
+/// An error of a plant as an exception: of an argument, or of a vehicle that has left the domain of the plant.
+pub fn plant_error(error: PlantError) -> PyErr {
+    match error {
+        PlantError::Spun { .. } | PlantError::Diverged { .. } => {
+            VehicleLostError::new_err(error.to_string())
+        }
+        _ => InvalidArgumentError::raise(error),
     }
 }

@@ -39,6 +39,12 @@ impl OcpWeights {
             "expected finite r > 0, which keeps the solution unique, and r_d >= 0, got {r:?} and {r_d:?}"
         )))
     }
+
+    fn __repr__(&self) -> String {
+        let Self { q, r, r_d } = self;
+        let q = shown(q.shape());
+        format!("OcpWeights(q of shape {q}, r={r:?}, r_d={r_d:?})")
+    }
 }
 
 #[doc = doc!(OcpBounds)]
@@ -98,6 +104,15 @@ impl OcpBounds {
             soft_upper: rows_of(soft_upper, &[0]),
             penalty,
         })
+    }
+
+    fn __repr__(&self) -> String {
+        let [u_min, u_max, du_min, du_max] = [&self.u_min, &self.u_max, &self.du_min, &self.du_max]
+            .map(|bound| shown(bound.shape()));
+        let soft = self.penalty.len();
+        format!(
+            "OcpBounds(u_min of shape {u_min}, u_max {u_max}, du_min {du_min}, du_max {du_max}, soft rows: {soft})"
+        )
     }
 }
 

@@ -16,9 +16,10 @@ use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 
 use crate::array::{NewVector, Vector, vector};
-use crate::driver::{Decision, driver_config, measurement};
+use crate::driver::{Decision, driver_config, measurement, time};
 use crate::error::{InvalidArgumentError, RefusedError, raise};
 use crate::parameters::VehicleParameters;
+use crate::text::list;
 use crate::wire::Replica;
 
 /// The control step of the service in this process: the same request gives the same bytes of a reply.
@@ -27,7 +28,8 @@ use crate::wire::Replica;
 /// library's periods for the horizon and 0.5 s for the window. With more than one of `cores` (no more than the machine
 /// has), members are evaluated in parallel where that takes half a millisecond or more: standard deviations of four
 /// active members of 700 points, for example, but not of two. The bytes of a reply do not depend on `cores`. An engine
-/// with several cores does not work in a forked process, which does not inherit its threads.
+/// with several cores does not work in a forked process, which does not inherit its threads. Raises `InvalidArgumentError` for
+/// settings out of range, and `EgpError` for a library that cannot be read or that the settings do not fit.
 #[pyclass(module = "egp_service._core", frozen)]
 pub struct Engine {
     inner: egp_engine::Engine,
@@ -62,7 +64,7 @@ impl Engine {
         settings_toml: &str,
         cores: usize,
     ) -> PyResult<Self> {
-        let settings = Settings::from_toml(settings_toml).map_err(raise)?;
+        let settings = Settings::from_toml(settings_toml).map_err(InvalidArgumentError::raise)?;
         py.detach(|| {
             let engine = egp_engine::Engine::load(&library_path, settings)
                 .and_then(|engine| engine.with_cores(cores))
@@ -133,6 +135,20 @@ impl Engine {
         VehicleParameters(self.inner.vehicle())
     }
 
+    fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
+        let Ready {
+            dt,
+            horizon,
+            history,
+            members,
+            ..
+        } = &self.served;
+        let members = list(py, members)?;
+        Ok(format!(
+            "Engine(members={members}, dt={dt:?}, horizon={horizon}, history={history})"
+        ))
+    }
+
     /// All settings, defaults included.
     #[getter]
     fn settings_toml(&self) -> PyResult<String> {
@@ -171,7 +187,7 @@ impl InProcessDriver {
         widths: Option<&Bound<'_, PyAny>>,
         road_friction: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Decision> {
-        let budget = Duration::try_from_secs_f64(budget).map_err(InvalidArgumentError::raise)?;
+        let budget = time(budget)?;
         let measurement = measurement(x, reference, widths, road_friction)
             .inspect_err(|_| self.driver.skip_period())?;
         let (driver, engine) = (&mut self.driver, self.engine.get());
@@ -370,8 +386,11 @@ pub fn available_cores() -> usize {
     egp_engine::available_cores()
 }
 
-/// Raise `EgpError`, with the line and the key, for settings of the control step that cannot be used with any library.
+/// Raise `InvalidArgumentError`, with the line and the key, for settings of the control step that cannot be used with any
+/// library.
 #[pyfunction]
 pub fn check_settings(settings_toml: &str) -> PyResult<()> {
-    Settings::from_toml(settings_toml).map(drop).map_err(raise)
+    Settings::from_toml(settings_toml)
+        .map(drop)
+        .map_err(InvalidArgumentError::raise)
 }

@@ -4,9 +4,10 @@ use egp_path::{HorizonRows, ReferenceStart, SpeedLimits};
 use pyo3::prelude::*;
 
 use crate::array::{Matrix, NewMatrix, NewVector, Vector, array, fixed, rows, vector};
-use crate::error::raise;
+use crate::error::InvalidArgumentError;
 use crate::parameters::VehicleParameters;
-use crate::path::{Path, Projection, check_arc_lengths};
+use crate::path::{Path, check_arc_lengths};
+use crate::projection::Projection;
 
 /// Rows of the reference, rows of the widths if the path has any, and the projection.
 type Reference<'py> = (NewMatrix<'py>, Option<NewMatrix<'py>>, Projection);
@@ -45,7 +46,7 @@ impl SpeedProfile {
         };
         egp_path::SpeedProfile::new(&path.0, &limits)
             .map(Self)
-            .map_err(raise)
+            .map_err(InvalidArgumentError::raise)
     }
 
     #[doc = doc!(SpeedProfile.constant)]
@@ -53,7 +54,7 @@ impl SpeedProfile {
     fn constant(path: &Path, speed: f64) -> PyResult<Self> {
         egp_path::SpeedProfile::constant(&path.0, speed)
             .map(Self)
-            .map_err(raise)
+            .map_err(InvalidArgumentError::raise)
     }
 
     #[doc = doc!(SpeedProfile.lap_time)]
@@ -66,6 +67,15 @@ impl SpeedProfile {
     fn speed<'py>(&self, py: Python<'py>, s: Vector<'py>) -> PyResult<NewVector<'py>> {
         check_arc_lengths(&s)?;
         Ok(vector(py, s.as_array().iter().map(|&s| self.0.speed(s))))
+    }
+
+    fn __repr__(&self) -> String {
+        let (start, length, time) = (self.0.start(), self.0.length(), self.0.lap_time());
+        let (least, most) = self.0.speed_range();
+        format!(
+            "SpeedProfile(start={start:.3}, length={length:.3}, lap_time={time:.3}, \
+             slowest={least:.3}, fastest={most:.3})"
+        )
     }
 }
 
@@ -91,8 +101,8 @@ pub fn horizon_reference<'py>(
         hint,
     };
     let mut rows = HorizonRows::new(usize::from(horizon));
-    let projection =
-        egp_path::horizon_reference(&path.0, &profile.0, &start, dt, &mut rows).map_err(raise)?;
+    let projection = egp_path::horizon_reference(&path.0, &profile.0, &start, dt, &mut rows)
+        .map_err(InvalidArgumentError::raise)?;
     let (reference, widths) = rows.into_parts();
     let stages = reference.len();
     let widths = (path.0.has_widths())

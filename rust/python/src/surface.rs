@@ -2,19 +2,39 @@
 
 use std::collections::BTreeMap;
 
-use egp_plant::{Friction, Surface, Uniform};
+use egp_plant::{ForceCurve, Friction, Surface, Uniform};
 use pyo3::prelude::*;
 
-use crate::error::raise;
+use crate::error::{InvalidArgumentError, wrong_type};
 use crate::path::Path;
 
 /// A surface: a friction coefficient, the name of a preset, or a table of factors.
-#[derive(FromPyObject)]
 pub enum SurfaceValue {
     Friction(f64),
     Preset(String),
     Table(BTreeMap<String, f64>),
 }
+
+impl SurfaceValue {
+    /// The surface of an object; `None` if the object is none of the three.
+    fn of(object: Borrowed<'_, '_, PyAny>) -> Option<Self> {
+        // The variants are tried in this order, and each failed attempt makes an exception: the usual ones come first.
+        (object.extract().map(Self::Friction).ok())
+            .or_else(|| object.extract().map(Self::Preset).ok())
+            .or_else(|| object.extract().map(Self::Table).ok())
+    }
+}
+
+impl FromPyObject<'_, '_> for SurfaceValue {
+    type Error = PyErr;
+
+    fn extract(object: Borrowed<'_, '_, PyAny>) -> PyResult<Self> {
+        Self::of(object).ok_or_else(|| wrong_type("surface", SURFACE, object))
+    }
+}
+
+/// What a surface may be, in errors.
+const SURFACE: &str = "a friction coefficient, the name of a surface or a table of its factors";
 
 impl SurfaceValue {
     /// The surface, whose values may be out of range.
@@ -26,10 +46,49 @@ impl SurfaceValue {
             Self::Friction(mu) => Ok((*mu).into()),
             Self::Preset(name) => Surface::named(name).ok_or_else(|| {
                 let known = Surface::PRESETS.map(|(name, _)| name).join(", ");
-                raise(format!("no surface {name:?}; known: {known}"))
+                InvalidArgumentError::new_err(format!("no surface {name:?}; known: {known}"))
             }),
-            Self::Table(table) => from_table(table.clone()).map_err(raise),
+            Self::Table(table) => from_table(table.clone()).map_err(InvalidArgumentError::new_err),
         }
+    }
+}
+
+/// Peak, stiffness, shape and curvature of the longitudinal curve, the same of the lateral one, and the shift.
+pub type SurfaceNumbers = [f64; 9];
+
+/// All numbers of a surface, of which [`from_numbers`] makes it again.
+pub fn numbers(surface: &Surface) -> SurfaceNumbers {
+    let Surface {
+        longitudinal: x,
+        lateral: y,
+        shift,
+    } = surface;
+    [
+        x.peak,
+        x.stiffness,
+        x.shape,
+        x.curvature,
+        y.peak,
+        y.stiffness,
+        y.shape,
+        y.curvature,
+        *shift,
+    ]
+}
+
+/// The surface of these numbers.
+pub fn from_numbers(numbers: SurfaceNumbers) -> Surface {
+    let [p_x, k_x, c_x, e_x, p_y, k_y, c_y, e_y, shift] = numbers;
+    let curve = |peak, stiffness, shape, curvature| ForceCurve {
+        peak,
+        stiffness,
+        shape,
+        curvature,
+    };
+    Surface {
+        longitudinal: curve(p_x, k_x, c_x, e_x),
+        lateral: curve(p_y, k_y, c_y, e_y),
+        shift,
     }
 }
 
@@ -67,17 +126,28 @@ fn from_table(mut table: BTreeMap<String, f64>) -> Result<Surface, String> {
 #[pyfunction]
 pub fn surface_friction(surface: SurfaceValue) -> PyResult<f64> {
     let surface = surface.surface()?;
-    surface.validate().map_err(raise)?;
+    surface.validate().map_err(InvalidArgumentError::raise)?;
     Ok(surface.friction())
 }
 
 /// The `friction` argument of a step.
-#[derive(FromPyObject)]
 pub enum Road<'py> {
-    // The variants are tried in this order, and each failed attempt makes an exception: the usual ones come first.
-    Friction(f64),
     Path(Bound<'py, Path>),
     Surface(SurfaceValue),
+}
+
+impl<'py> FromPyObject<'_, 'py> for Road<'py> {
+    type Error = PyErr;
+
+    fn extract(object: Borrowed<'_, 'py, PyAny>) -> PyResult<Self> {
+        if let Ok(path) = object.cast::<Path>() {
+            return Ok(Self::Path(path.to_owned()));
+        }
+        SurfaceValue::of(object).map(Self::Surface).ok_or_else(|| {
+            let expected = format!("a Path, {SURFACE}");
+            wrong_type("friction", &expected, object)
+        })
+    }
 }
 
 impl Road<'_> {
@@ -87,8 +157,10 @@ impl Road<'_> {
     /// Errors if the surface is unknown or out of range.
     pub fn friction(&self, hint: Option<f64>) -> PyResult<Box<dyn Friction + '_>> {
         Ok(match self {
-            Self::Friction(mu) => Box::new(Uniform::new(*mu).map_err(raise)?),
-            Self::Surface(value) => Box::new(Uniform::new(value.surface()?).map_err(raise)?),
+            Self::Surface(value) => {
+                let uniform = Uniform::new(value.surface()?);
+                Box::new(uniform.map_err(InvalidArgumentError::raise)?)
+            }
             Self::Path(path) => Box::new(path.get().0.surfaces_near(hint)),
         })
     }

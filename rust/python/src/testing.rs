@@ -13,8 +13,8 @@ use pyo3::prelude::*;
 
 use crate::array::{ArrayLike, Matrix, NewMatrix, NewVector, Vector};
 use crate::array::{array, fixed, rows, vector};
-use crate::error::{EgpError, raise};
-use crate::plant::Plant;
+use crate::error::{InvalidArgumentError, raise};
+use crate::plant::{Plant, plant_error};
 use crate::problem::{Arrays, OcpBounds, OcpWeights};
 use crate::surface::SurfaceValue;
 use crate::wire::name;
@@ -128,7 +128,7 @@ pub fn plant_derivative<'py>(
         &friction.map(Surface::from),
     )
     .map(|slope| vector(py, slope))
-    .map_err(raise)
+    .map_err(plant_error)
 }
 
 /// Lateral acceleration of a plant's body in m/s².
@@ -149,7 +149,8 @@ pub fn plant_initial_states<'py>(
     let states = rows::<7>("vehicle_states", &vehicle_states)?
         .into_iter()
         .map(|row| {
-            egp_plant::initial_state(&parameters, &VehicleState::from_array(row)).map_err(raise)
+            egp_plant::initial_state(&parameters, &VehicleState::from_array(row))
+                .map_err(InvalidArgumentError::raise)
         })
         .collect::<PyResult<Vec<_>>>()?;
     matrix(py, states)
@@ -176,7 +177,7 @@ pub fn plant_step_batch<'py>(
     for (name, count) in [("u", inputs.len()), ("friction", surfaces.len())] {
         if count != states.len() {
             let expected = states.len();
-            return Err(EgpError::new_err(format!(
+            return Err(InvalidArgumentError::new_err(format!(
                 "expected {expected} rows of {name}, one per state, got {count}"
             )));
         }
@@ -192,10 +193,10 @@ pub fn plant_step_batch<'py>(
             })
         })
         .collect::<Result<Vec<_>, egp_plant::PlantError>>()
-        .map_err(raise)?;
+        .map_err(InvalidArgumentError::raise)?;
     let results = py
         .detach(|| egp_plant::step_batch(&mut items, dt))
-        .map_err(raise)?;
+        .map_err(InvalidArgumentError::raise)?;
     let completed: Vec<bool> = results.iter().map(Result::is_ok).collect();
     Ok((
         matrix(py, items.iter().map(|item| *item.plant.state()).collect())?,
@@ -206,7 +207,7 @@ pub fn plant_step_batch<'py>(
 fn parameters(vehicle: u32) -> PyResult<Parameters> {
     VehicleId::try_from(vehicle)
         .map(VehicleId::parameters)
-        .map_err(raise)
+        .map_err(InvalidArgumentError::raise)
 }
 
 fn matrix(py: Python<'_>, states: Vec<StateVector>) -> PyResult<NewMatrix<'_>> {

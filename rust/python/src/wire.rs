@@ -8,6 +8,7 @@ use pyo3::prelude::*;
 use crate::array::{KeptCube, KeptMatrix, KeptVector, NewCube, NewMatrix, array, vector};
 use crate::error::{InvalidArgumentError, raise};
 use crate::parameters::VehicleParameters;
+use crate::text::truth;
 
 pub fn matrix<'py, const W: usize>(py: Python<'py>, rows: &[[f64; W]]) -> PyResult<NewMatrix<'py>> {
     array(py, rows.as_flattened().to_vec(), [rows.len(), W])
@@ -104,7 +105,7 @@ impl Friction {
             information,
             ..
         } = self;
-        let informed = if self.informed { "True" } else { "False" };
+        let informed = truth(self.informed);
         format!(
             "Friction(mean={mean:.3}, std={std:.3}, lower={lower:.3}, upper={upper:.3}, \
              information={information:.3}, informed={informed})"

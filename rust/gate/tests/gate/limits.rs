@@ -98,6 +98,79 @@ fn a_gate_wider_than_the_planned_vehicle_is_told_with_both_numbers() {
 }
 
 #[test]
+fn the_limits_of_the_same_vehicle_with_another_load_fit_within_one_per_cent_of_its_mass() {
+    let planned = VehicleParameters::FORD_ESCORT;
+    let loaded = |share: f64| {
+        let mass = share * planned.mass;
+        Limits::of(&VehicleParameters { mass, ..planned })
+    };
+    for share in [0.991, 1226.0 / planned.mass, 1.009] {
+        assert_eq!(loaded(share).check_within(&planned), Ok(()), "{share}");
+    }
+    assert_eq!(
+        loaded(1.011).check_within(&planned).unwrap_err().name,
+        "mass"
+    );
+    // A heavier gate allows no more acceleration, and a lighter one no more force.
+    for (share, factor) in [(1.009, 1.000_01), (0.991, 1.009_1), (1.0, 1.000_01)] {
+        let limits = loaded(share);
+        for change in [
+            |limits: &mut Limits, factor: f64| limits.force_min *= factor,
+            |limits: &mut Limits, factor: f64| limits.force_max *= factor,
+            |limits: &mut Limits, factor: f64| limits.power *= factor,
+            |limits: &mut Limits, factor: f64| limits.force_slew *= factor,
+        ] {
+            let mut wide = limits;
+            change(&mut wide, factor);
+            assert!(wide.check_within(&planned).is_err(), "{share}");
+        }
+        let mut wide = limits;
+        wide.steering_angle *= 1.000_01;
+        assert_eq!(
+            wide.check_within(&planned).unwrap_err().name,
+            "steering_angle"
+        );
+    }
+    let error = Limits {
+        mass: 1230.0,
+        force_max: 7500.0,
+        ..car()
+    };
+    let told = error.check_within(&planned).unwrap_err().to_string();
+    assert!(
+        told.starts_with(
+            "gate limit force_max is 7500 N, the vehicle that plans are made for has 7355.322 N at 1225.887 kg, which \
+             is 7380 N at the gate's mass of 1230 kg; narrow the gate"
+        ),
+        "{told}"
+    );
+}
+
+#[test]
+#[allow(clippy::cast_possible_truncation)] // is what the test is about
+fn limits_in_single_precision_fit() {
+    let single = |value: f64| f64::from(value as f32);
+    let limits = car();
+    let rounded = Limits {
+        mass: single(limits.mass),
+        force_min: single(limits.force_min),
+        force_max: single(limits.force_max),
+        power: single(limits.power),
+        force_slew: single(limits.force_slew),
+        steering_angle: single(limits.steering_angle),
+        steering_rate: single(limits.steering_rate),
+        steering_slew: single(limits.steering_slew),
+    };
+    assert!(rounded.steering_angle > limits.steering_angle);
+    assert_eq!(
+        rounded.check_within(&VehicleParameters::FORD_ESCORT),
+        Ok(())
+    );
+    let strongest = single(-limits.force_min / limits.mass);
+    Gate::new(rounded, 0.02, 25, strongest).unwrap();
+}
+
+#[test]
 fn an_absurd_steering_slew_gives_a_finite_command() {
     for steering_slew in [5e-324, 1e-310, 1e-304, 1e-160, 1e307, f64::MAX] {
         let limits = Limits {

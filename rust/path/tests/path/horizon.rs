@@ -142,10 +142,37 @@ fn errors_name_the_invalid_argument() {
         ask(&path, 0.0, 0.0),
         PathError::Parameter { name: "dt", .. }
     ));
-    assert!(matches!(
-        ask(&other, 0.0, DT),
-        PathError::ForeignProfile { .. }
-    ));
+    assert_eq!(ask(&other, 0.0, DT), PathError::ForeignProfile);
+}
+
+#[test]
+fn a_profile_belongs_to_one_curve_whatever_its_length_widths_and_friction_are() {
+    let bend = |side: f64| -> Vec<[f64; 2]> {
+        let points = (0..40).map(|i| 2.5 * f64::from(i));
+        points.map(|x| [x, side * 4.0 * (x / 15.0).sin()]).collect()
+    };
+    let path = Path::from_points(&bend(1.0), false, None).unwrap();
+    let profile = SpeedProfile::new(&path, &car()).unwrap();
+    let mut planner = SpeedPlanner::new(&path, &car()).unwrap();
+    let friction = vec![0.8; planner.places()];
+    let plan = planner.plan(0.0, None, &friction).unwrap();
+    let ask = |path: &Path, profile: &SpeedProfile| {
+        let start = at([1.0, 0.0], 0.0);
+        horizon_reference(path, profile, &start, DT, &mut HorizonRows::new(2))
+    };
+    let mirrored = Path::from_points(&bend(-1.0), false, None).unwrap();
+    assert_eq!(mirrored.length(), path.length());
+    for profile in [&profile, plan] {
+        let error = ask(&mirrored, profile).unwrap_err();
+        assert_eq!(error, PathError::ForeignProfile);
+        assert_eq!(error.to_string(), "the profile belongs to another path");
+        let again = Path::from_points(&bend(1.0), false, None).unwrap();
+        let icy = path.clone().with_friction(&[Zone::new(0.0, 0.1)]).unwrap();
+        let wide = Path::from_points(&bend(1.0), false, Some(&[[3.0; 2]; 40])).unwrap();
+        for same in [again, icy, wide] {
+            ask(&same, profile).unwrap();
+        }
+    }
 }
 
 #[test]
