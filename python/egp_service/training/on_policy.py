@@ -44,8 +44,7 @@ _FIRST_SEED: Final = 10_000  # gives tracks and noise that no other run has
 # Measurement noise, which varies the inputs; the recorded states are the true ones.
 _NOISE: Final = Measurement(position=0.02, v_x=0.03, psi=0.002, v_y=0.03, omega=0.005, delta=0.001)
 # Without the proximal term plans alternate between drive and braking at the end of the grip, which
-# excites the tyres. Fitted to laps with the term the ice of four presets transmits 0.87 of mu g and
-# 4 of 20 laps on it are completed, to laps without it 0.76 and 20 of 20 (docs/surfaces.md).
+# excites the tyres.
 _EXCITING: Final[dict[str, object]] = {"cost": {"proximal": 0.0}}
 _LEAVE: Final = 4.0  # m from the path; slides beyond the edge are recorded
 _TRAJECTORY: Final = 100  # transitions of a trajectory, the unit of the validation split
