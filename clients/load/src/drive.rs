@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 
 use egp_simulator::{CAR, Course, Period, SimulatedVehicle, SimulationError};
 use egp_vehicle::{ClientError, GateLimits, Mode, VehicleConfig};
+use egp_wire::Interrupt;
 
 use crate::tally::Tally;
 use crate::{Arguments, Failure};
@@ -50,15 +51,16 @@ pub(crate) fn connect(
     })
 }
 
-/// Drives to the end of the schedule and counts from `measure` on.
+/// Drives to the end of the schedule, or until Ctrl-C, and counts from `measure` on.
 pub(crate) fn drive(
     mut vehicle: SimulatedVehicle,
     assignment: &Assignment,
     home: f64,
+    interrupt: &Interrupt,
 ) -> Result<Tally, Failure> {
     let mut tally = Tally::default();
     let mut due = assignment.first;
-    while due < assignment.end {
+    while due < assignment.end && !interrupt.came() {
         thread::sleep(due.saturating_duration_since(Instant::now()));
         let lag = due.elapsed();
         let counted = due >= assignment.measure;

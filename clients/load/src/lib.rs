@@ -8,6 +8,7 @@ mod recording;
 mod replay;
 mod report;
 mod tally;
+mod unsolved;
 
 use std::ffi::OsString;
 use std::fmt::Display;
@@ -18,7 +19,7 @@ use std::{fs, io, thread};
 
 use clap::Parser;
 use egp_simulator::{Course, Track};
-use egp_wire::print_line;
+use egp_wire::{Interrupt, print_line, survive_file_size_limit};
 use serde::Serialize;
 
 use crate::drive::{Assignment, drive};
@@ -26,6 +27,7 @@ use crate::ramp::ramp;
 use crate::replay::Replay;
 use crate::report::Report;
 use crate::tally::Tally;
+use crate::unsolved::unsolved;
 
 /// The text of `--help` behind the options.
 const HELP: &str = r"Loads a running service with simulated vehicles and reports answer times and
@@ -63,7 +65,10 @@ time; --seconds is for each rate.
 Look at `generator lag` first: the delay with which requests were sent because
 this program or its machine was busy. If it is far above a millisecond, the
 other times describe the generator instead of the service; give the generator
-cores of its own or fewer vehicles.";
+cores of its own or fewer vehicles.
+
+If no request was solved, the exit code is 1, and a message says why. After
+Ctrl-C the report is about the time until then, and the exit code is 130.";
 
 /// Loads a running service with simulated vehicles and reports answer times and errors.
 #[derive(Parser)]
@@ -157,24 +162,42 @@ fn whole_periods(time: Duration, period: Duration) -> Duration {
 
 type Failure = Box<dyn std::error::Error + Send + Sync>;
 
-fn run(arguments: &Arguments) -> Result<(), Failure> {
+/// Measures, prints the result, and returns the exit code of a measurement that was done or interrupted.
+fn run(arguments: &Arguments) -> Result<u8, Failure> {
+    survive_file_size_limit()?;
     // A measurement is not lost because its report cannot be written.
     if let Some(path) = &arguments.json
         && let Some(folder) = path.parent().filter(|folder| *folder != Path::new(""))
     {
         fs::metadata(folder).map_err(|error| unwritten(path, &error))?;
     }
-    match &arguments.requests {
-        Some(file) => {
-            let mut replay = Replay::new(arguments, recording::read(file)?)?;
-            report(arguments, &ramp(arguments, &mut replay)?)
-        }
-        None => report(arguments, &drive_all(arguments)?),
+    let (interrupted, unsolved) = if let Some(file) = &arguments.requests {
+        let mut replay = Replay::new(arguments, recording::read(file)?)?;
+        let result = ramp(arguments, &mut replay, &Interrupt::watch()?)?;
+        report(arguments, result.rates.is_empty(), &result)?;
+        (result.interrupted, result.unsolved())
+    } else {
+        let (result, interrupted) = drive_all(arguments)?;
+        report(arguments, result.outcomes.is_empty(), &result)?;
+        (interrupted, unsolved(&result.outcomes))
+    };
+    match unsolved {
+        _ if interrupted => Ok(Interrupt::STATUS),
+        Some(reason) => Err(reason.into()),
+        None => Ok(0),
     }
 }
 
-/// Writes a result as JSON if that is asked for, and prints it.
-fn report(arguments: &Arguments, result: &(impl Display + Serialize)) -> Result<(), Failure> {
+/// Writes a result as JSON if that is asked for, and prints it, unless Ctrl-C came before anything was measured.
+fn report(
+    arguments: &Arguments,
+    is_empty: bool,
+    result: &(impl Display + Serialize),
+) -> Result<(), Failure> {
+    if is_empty {
+        eprintln!("egp-load: interrupted before the measurement began");
+        return Ok(());
+    }
     if let Some(path) = &arguments.json {
         let json = serde_json::to_vec_pretty(result)?;
         fs::write(path, json).map_err(|error| unwritten(path, &error))?;
@@ -188,8 +211,8 @@ fn unwritten(path: &Path, error: &io::Error) -> String {
     format!("cannot write the report {path}: {error}; choose another file for --json")
 }
 
-/// Drives simulated vehicles.
-fn drive_all(arguments: &Arguments) -> Result<Report, Failure> {
+/// Drives simulated vehicles. Returns the result, and whether Ctrl-C ended the measurement before its time.
+fn drive_all(arguments: &Arguments) -> Result<(Report, bool), Failure> {
     let course = Arc::new(Course::new(
         arguments.track,
         &arguments.friction,
@@ -201,6 +224,7 @@ fn drive_all(arguments: &Arguments) -> Result<Report, Failure> {
             drive::connect(arguments, index, course.clone(), part)
         })
         .collect::<Result<_, Failure>>()?;
+    let interrupt = Arc::new(Interrupt::watch()?);
     // Schedules begin when all sessions are open, so that opening one does not disturb another.
     let begin = Instant::now() + Duration::from_millis(200);
     let count = vehicles.len();
@@ -223,18 +247,28 @@ fn drive_all(arguments: &Arguments) -> Result<Report, Failure> {
             };
             let length = course.path.length();
             let home = length * index as f64 / count as f64;
-            thread::spawn(move || drive(vehicle, &assignment, home))
+            let interrupt = interrupt.clone();
+            thread::spawn(move || drive(vehicle, &assignment, home, &interrupt))
         })
         .collect();
     let mut total = Tally::default();
     for thread in threads {
         total.add(&thread.join().map_err(|_| "a vehicle's thread panicked")??);
     }
-    Ok(Report::new(&total, arguments.vehicles, measured))
+    let interrupted = interrupt.came();
+    let measured = if interrupted {
+        let part = total.periods as f64 / f64::from(arguments.vehicles);
+        period.mul_f64(part).min(measured)
+    } else {
+        measured
+    };
+    let report = Report::new(&total, arguments.vehicles, measured);
+    Ok((report, interrupted))
 }
 
 /// Runs the load generator with these arguments, of which the first is the name that the help shows, and returns the exit
-/// code: 0 after a measurement, 1 if it failed, 2 for arguments that cannot be used.
+/// code: 0 after a measurement, 1 if it failed or no request was solved, 2 for arguments that cannot be used, and 130 after
+/// Ctrl-C. In a ramp, answers that come too late are a result.
 pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     let arguments = match Arguments::try_parse_from(arguments) {
         Ok(arguments) => arguments,
@@ -245,7 +279,7 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         }
     };
     match run(&arguments) {
-        Ok(()) => 0,
+        Ok(code) => code,
         Err(error) => {
             eprintln!("egp-load: {error}");
             1

@@ -4,11 +4,13 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::time::Duration;
 
+use egp_wire::Interrupt;
 use serde::Serialize;
 
 use crate::counts::Counts;
 use crate::replay::Replay;
 use crate::report::Quantiles;
+use crate::unsolved::{is_too_slow, unsolved};
 use crate::{Arguments, Failure, whole_periods};
 
 /// Each step of a ramp has this many times the vehicles of the step before.
@@ -67,15 +69,33 @@ pub(crate) struct Ramp {
     /// Vehicles of the fastest rate that held; absent if none did, or none was asked for. If it is the last rate, the knee
     /// is beyond it.
     knee_vehicles: Option<usize>,
-    rates: Vec<Rate>,
+    /// Whether Ctrl-C ended the measurement, so that the last rate is incomplete.
+    pub(crate) interrupted: bool,
+    pub(crate) rates: Vec<Rate>,
+}
+
+impl Ramp {
+    /// Why nothing was solved, if that is no result: a ramp looks for the number of vehicles at which answers come too late.
+    pub(crate) fn unsolved(&self) -> Option<String> {
+        let mut outcomes = BTreeMap::new();
+        for (outcome, count) in self.rates.iter().flat_map(|rate| &rate.outcomes) {
+            *outcomes.entry(outcome.clone()).or_default() += count;
+        }
+        let is_result = self.hold.is_some() && outcomes.keys().any(|name| is_too_slow(name));
+        unsolved(&outcomes).filter(|_| !is_result)
+    }
 }
 
 /// Replays with the number of vehicles that the arguments state and, if they ask for a ramp, with more until the fraction
-/// of requests answered in the deadline is below `hold`.
+/// of requests answered in the deadline is below `hold`, or until Ctrl-C.
 ///
 /// # Errors
 /// A message of [`Replay::run`].
-pub(crate) fn ramp(arguments: &Arguments, replay: &mut Replay<'_>) -> Result<Ramp, Failure> {
+pub(crate) fn ramp(
+    arguments: &Arguments,
+    replay: &mut Replay<'_>,
+    interrupt: &Interrupt,
+) -> Result<Ramp, Failure> {
     let [warm_up, measured] =
         [arguments.warm_up, arguments.seconds].map(|time| whole_periods(time, replay.period));
     if arguments.most < arguments.vehicles {
@@ -90,13 +110,22 @@ pub(crate) fn ramp(arguments: &Arguments, replay: &mut Replay<'_>) -> Result<Ram
         seconds: measured.as_secs_f64(),
         hold: arguments.ramp,
         knee_vehicles: None,
+        interrupted: false,
         rates: Vec::new(),
     };
     let mut vehicles = f64::from(arguments.vehicles);
     while vehicles <= f64::from(arguments.most) {
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // 1 to 2000
         let count = vehicles as usize;
-        let rate = Rate::new(&replay.run(count, warm_up, measured)?, measured);
+        let (counts, measured) = replay.run(count, warm_up, measured, interrupt)?;
+        if interrupt.came() {
+            result.interrupted = true;
+            if !measured.is_zero() {
+                result.rates.push(Rate::new(&counts, measured));
+            }
+            break;
+        }
+        let rate = Rate::new(&counts, measured);
         let held = result
             .hold
             .is_some_and(|hold| rate.in_deadline_fraction >= hold);
@@ -137,6 +166,9 @@ impl fmt::Display for Ramp {
                 rate.latency_ms.p999,
                 rate.generator_lag_ms.p99
             )?;
+        }
+        if self.interrupted {
+            return write!(f, "interrupted: the last rate is incomplete");
         }
         match (self.hold, self.knee_vehicles) {
             (None, _) => write!(f, "one rate was measured; --ramp 0.99 looks for the knee"),

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use egp_simulator::CAR;
 use egp_vehicle::{GateLimits, VehicleConfig, open_session};
 use egp_wire::keys::{self, Name};
-use egp_wire::{MessageLimits, Ready, Request};
+use egp_wire::{Interrupt, MessageLimits, Ready, Request};
 use zenoh::bytes::ZBytes;
 use zenoh::query::Reply;
 use zenoh::{Session, Wait};
@@ -69,7 +69,8 @@ impl<'a> Replay<'a> {
     }
 
     /// Lets this many vehicles send a request each period, first for the time `warm_up`, then for `measured`, and counts
-    /// what becomes of the requests that are due in the latter.
+    /// what becomes of the requests that are due in the latter. Returns the counts and the time for which it was measured,
+    /// which is shorter after Ctrl-C.
     ///
     /// # Errors
     /// A message if a session cannot be opened.
@@ -78,9 +79,10 @@ impl<'a> Replay<'a> {
         vehicles: usize,
         warm_up: Duration,
         measured: Duration,
-    ) -> Result<Counts, Failure> {
+        interrupt: &Interrupt,
+    ) -> Result<(Counts, Duration), Failure> {
         let sessions = self.arguments.sessions.map_or(vehicles, |n| n as usize);
-        while self.sessions.len() < sessions.min(vehicles) {
+        while self.sessions.len() < sessions.min(vehicles) && !interrupt.came() {
             self.sessions
                 .push(session(self.arguments, self.sessions.len())?);
         }
@@ -98,7 +100,10 @@ impl<'a> Replay<'a> {
                 let part = index as f64 / vehicles as f64;
                 let after = self.period.mul_f64(f64::from(round) + part);
                 if after >= warm_up + measured {
-                    return Ok(finish(&counts));
+                    return Ok((finish(&counts), measured));
+                }
+                if interrupt.came() {
+                    return Ok((finish(&counts), after.saturating_sub(warm_up)));
                 }
                 let due = begin + after;
                 thread::sleep(due.saturating_duration_since(Instant::now()));
@@ -125,7 +130,7 @@ impl<'a> Replay<'a> {
                 }
             }
         }
-        Ok(finish(&counts))
+        Ok((finish(&counts), measured))
     }
 
     fn key(&self, index: usize) -> Result<String, Failure> {

@@ -19,6 +19,20 @@ pub(crate) struct Quantiles {
 }
 
 impl Quantiles {
+    /// The quantiles as columns of 9 characters; a dash where nothing was recorded.
+    fn columns(&self) -> String {
+        let column = |time: f64| {
+            if self.count == 0 && time.is_finite() {
+                format!("{:>9}", "-")
+            } else {
+                format!("{time:9.2}")
+            }
+        };
+        [self.p50, self.p99, self.p999, self.max]
+            .map(column)
+            .concat()
+    }
+
     /// Quantiles of what was recorded.
     pub(crate) fn of(times: &Micros) -> Self {
         Self::of_requests(times, times.len())
@@ -55,7 +69,7 @@ pub(crate) struct Report {
     requests_per_second: f64,
     misses: u64,
     miss_fraction: f64,
-    outcomes: BTreeMap<String, u64>,
+    pub(crate) outcomes: BTreeMap<String, u64>,
     normal_periods: u64,
     tail_periods: u64,
     stop_periods: u64,
@@ -118,11 +132,7 @@ impl fmt::Display for Report {
             ("  in the step", &self.service_step_ms),
             ("generator lag", &self.generator_lag_ms),
         ] {
-            writeln!(
-                f,
-                "{name:24}{:9.2}{:9.2}{:9.2}{:9.2}{:9}",
-                times.p50, times.p99, times.p999, times.max, times.count
-            )?;
+            writeln!(f, "{name:24}{}{:9}", times.columns(), times.count)?;
         }
         if self.latency_ms.max.is_infinite() {
             writeln!(
@@ -174,6 +184,9 @@ mod tests {
                 .is_infinite()
         );
         assert!(Quantiles::of(&Micros::default()).max == 0.0);
+        let none = Quantiles::of(&Micros::default()).columns();
+        assert_eq!(none, "        -".repeat(4));
+        assert!(all.columns().starts_with("     2.00"), "{}", all.columns());
         let json = serde_json::to_value(&all).unwrap_or_default();
         assert!(json["p99"].is_null() && json["count"] == 80);
     }

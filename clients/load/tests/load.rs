@@ -3,7 +3,8 @@
 
 use std::fs;
 use std::path::Path;
-use std::process::Command;
+use std::process::{Command, Stdio};
+use std::time::Duration;
 
 use egp_service::{Server, ServiceConfig};
 use egp_testing::outputs::without_output;
@@ -89,6 +90,64 @@ fn a_service_for_another_vehicle_is_told_from_one_that_is_not_there() {
     assert!(told.contains("has 1284 kg"), "{told}");
     assert!(told.contains("egp load --replay run.mcap"), "{told}");
     assert!(!told.contains("is the service running there"), "{told}");
+    server.drain();
+}
+
+#[test]
+fn a_measurement_without_a_plan_fails_and_says_why() {
+    let endpoint = free_endpoint();
+    let keys = Path::new(env!("CARGO_TARGET_TMPDIR")).join("load.keys");
+    fs::write(&keys, format!("load/car-0 {}\n", "a1".repeat(32))).unwrap();
+    let mut config = ServiceConfig::new(LIBRARY);
+    config.vehicle_keys = Some(keys);
+    config
+        .zenoh
+        .insert("listen/endpoints".to_owned(), format!("[\"{endpoint}\"]"));
+    let server = Server::start(&config).unwrap();
+    let output = Command::new(env!("CARGO_BIN_EXE_egp-load"))
+        .args(["--connect", &endpoint, "--vehicles", "1"])
+        .args(["--seconds", "1", "--warm-up", "0.1"])
+        .output()
+        .unwrap();
+    let (table, told) = (
+        String::from_utf8(output.stdout).unwrap(),
+        String::from_utf8(output.stderr).unwrap(),
+    );
+    assert_eq!(output.status.code(), Some(1), "{told}");
+    assert!(table.contains("refused: unauthenticated"), "{table}");
+    let step = table.lines().find(|line| line.contains("in the step"));
+    let dashes = format!("{:24}{}{:9}", "  in the step", "        -".repeat(4), 0);
+    assert_eq!(step, Some(dashes.as_str()), "{table}");
+    assert!(told.contains("no request was solved"), "{told}");
+    assert!(told.contains("with --key"), "{told}");
+    server.drain();
+}
+
+#[test]
+fn an_interrupted_measurement_is_reported() {
+    let endpoint = free_endpoint();
+    let mut config = ServiceConfig::new(LIBRARY);
+    config
+        .zenoh
+        .insert("listen/endpoints".to_owned(), format!("[\"{endpoint}\"]"));
+    let server = Server::start(&config).unwrap();
+    let measuring = Command::new(env!("CARGO_BIN_EXE_egp-load"))
+        .args(["--connect", &endpoint, "--vehicles", "1"])
+        .args(["--seconds", "600", "--warm-up", "0"])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    std::thread::sleep(Duration::from_secs(5));
+    let id = measuring.id().to_string();
+    let sent = Command::new("kill").args(["-INT", &id]).status();
+    assert!(sent.unwrap().success());
+    let output = measuring.wait_with_output().unwrap();
+    let told = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(130), "{told}");
+    let table = String::from_utf8(output.stdout).unwrap();
+    assert!(table.contains("latency from due time"), "{table}");
+    assert!(table.contains("(50.0 a second)"), "{table}");
     server.drain();
 }
 

@@ -3,7 +3,7 @@
 
 use std::process::{Command, Output};
 
-use egp_core::{Kernel, Library, library};
+use egp_core::{Kernel, Library, Settings, library};
 use egp_driver::Carry;
 use egp_service::{Server, ServiceConfig};
 use egp_testing::libraries;
@@ -18,12 +18,18 @@ const LIBRARY: &str = concat!(
 
 /// A file of two requests of a car on a straight road, for a horizon of 40 periods of 20 ms.
 fn requests_file(name: &str, library: LibraryId) -> String {
+    requests_of(name, library, 40, 0.02)
+}
+
+/// A file of two requests of a car on a straight road, for a horizon of so many periods of `dt` s.
+fn requests_of(name: &str, library: LibraryId, horizon: u32, dt: f64) -> String {
     let mut carry = Carry::new(library, 25);
     let mut bytes = Vec::new();
     for lateral in [0.1, 0.2] {
-        let reference = (0..=40).map(|t| [0.3 * f64::from(t), 0.0, 15.0, 0.0]);
+        let reference = (0..=horizon).map(|t| [15.0 * dt * f64::from(t), 0.0, 15.0, 0.0]);
         let x = [0.0, lateral, 15.0, 0.0, 0.0, 0.0, 0.0];
-        let request = carry.request(x, reference.collect(), vec![[3.0, 3.0]; 41], 1);
+        let widths = vec![[3.0, 3.0]; horizon as usize + 1];
+        let request = carry.request(x, reference.collect(), widths, 1);
         let request = request.encode();
         prost::encode_length_delimiter(request.len(), &mut bytes).unwrap();
         bytes.extend(request);
@@ -111,7 +117,8 @@ fn a_recording_is_replayed_with_the_period_of_its_library() {
     let further = concat!(env!("CARGO_TARGET_TMPDIR"), "/further.safetensors");
     std::fs::write(further, &bytes).unwrap();
     let id = Library::from_bytes(&bytes).unwrap().id();
-    let requests = requests_file("further.bin", id);
+    let horizon = Settings::default().horizon(spec.dt);
+    let requests = requests_of("further.bin", id, u32::try_from(horizon).unwrap(), spec.dt);
     // The service states the period of the library that it describes, which is not that of the recording.
     let (server, endpoint) = serve_too(&[further]);
     let output = replay(&endpoint, &requests, &["--seconds", "0.1"]);

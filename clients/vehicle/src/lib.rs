@@ -17,7 +17,8 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! A program calls [`set_receive_threads`] first, so that a replica that falls silent does not delay the answers of others.
+//! A program calls [`set_receive_threads`] first, so that a replica that falls silent does not delay the answers of others, and
+//! [`survive_file_size_limit`] if it writes traces.
 
 mod client;
 mod config;
@@ -31,6 +32,6 @@ pub use egp_driver::{DriverConfig, Late, Lost, Measurement, Outcome, Situation, 
 pub use egp_gate::{Command, Limits as GateLimits, Mode};
 pub use egp_parameters::VehicleParameters;
 pub use egp_session::NetworkError;
-pub use egp_wire::set_receive_threads;
+pub use egp_wire::{set_receive_threads, survive_file_size_limit};
 pub use network::{ask, open_session};
 pub use traces::{StepTraces, StepTracesError};

@@ -17,8 +17,8 @@ _ENDING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 def run_program(program: Callable[[Sequence[str]], int], arguments: Sequence[str]) -> int:
     """Run a program of the extension and return its exit code.
 
-    Meanwhile a signal ends the process at once: the program does not return to Python, whose
-    handlers would wait for it.
+    Meanwhile a signal ends the process at once, or, where the program reports what it has until
+    then, with the program: Python's handlers would wait for the program to return.
     """
     handlers = {number: signal.signal(number, signal.SIG_DFL) for number in _ENDING}
     try:

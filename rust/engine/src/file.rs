@@ -1,10 +1,11 @@
 //! Reading a library's file, and replacing files.
 
 use std::fs::{self, File};
-use std::io::{self, Read as _, Write as _};
+use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 
 use egp_core::library::MAX_FILE_BYTES;
+use egp_wire::read_regular;
 
 /// The bytes of a library's file, but at most one more than a library may have, which suffices to detect a file that is
 /// too large.
@@ -13,20 +14,6 @@ use egp_core::library::MAX_FILE_BYTES;
 /// As [`read_regular`].
 pub fn read_library(path: &Path) -> io::Result<Vec<u8>> {
     read_regular(path, MAX_FILE_BYTES as u64 + 1)
-}
-
-/// The bytes of a file, but at most `most`.
-///
-/// # Errors
-/// [`io::Error`] if the file cannot be read, or is not a regular file: opening a pipe would wait for a writer.
-pub fn read_regular(path: &Path, most: u64) -> io::Result<Vec<u8>> {
-    if !fs::metadata(path)?.is_file() {
-        let reason = "expected a regular file, got a folder, a pipe or a device";
-        return Err(io::Error::new(io::ErrorKind::InvalidInput, reason));
-    }
-    let mut bytes = Vec::new();
-    File::open(path)?.take(most).read_to_end(&mut bytes)?;
-    Ok(bytes)
 }
 
 /// Replaces a file atomically: whoever opens the path gets the old bytes or the new ones, also after a crash. The new bytes
@@ -50,22 +37,25 @@ pub struct Replacement {
 }
 
 impl Replacement {
-    /// Writes the bytes beside the file, to the disk.
+    /// Writes the bytes beside the file, to the disk. If the path is a link, the file to which it leads is replaced.
     ///
     /// # Errors
-    /// [`io::Error`] if they cannot be written, or the path is a folder, which no file can replace.
+    /// [`io::Error`] if they cannot be written, or as [`replaceable`].
     pub fn write(path: &Path, bytes: &[u8]) -> io::Result<Self> {
-        if path.is_dir() {
-            return Err(io::Error::from(io::ErrorKind::IsADirectory));
-        }
-        let (mut file, beside) = create_beside(path)?;
+        let path = replaceable(path)?;
+        let (mut file, beside) = create_beside(&path)?;
         let written = Self {
-            path: path.to_owned(),
+            path,
             beside: Some(beside),
         };
         file.write_all(bytes)?;
         file.sync_all()?;
         Ok(written)
+    }
+
+    /// The file that is replaced.
+    pub fn path(&self) -> &Path {
+        &self.path
     }
 
     /// Replaces the file, and writes the folder's entry to the disk.
@@ -92,6 +82,29 @@ impl Replacement {
         self.beside = None;
         Ok(())
     }
+}
+
+/// The file that is replaced, or made, if bytes are written to a path: the path itself, or the file to which it leads as a
+/// link.
+///
+/// # Errors
+/// [`io::Error`] if there is a folder, a pipe or a device, which no file may replace, or if links lead in a circle.
+pub fn replaceable(path: &Path) -> io::Result<PathBuf> {
+    /// Links that are followed at most, as many as Linux follows.
+    const LINKS: usize = 40;
+    if fs::metadata(path).is_ok_and(|found| !found.is_file()) {
+        let reason = "expected a regular file or a new name, got a folder, a pipe or a device";
+        return Err(io::Error::new(io::ErrorKind::InvalidInput, reason));
+    }
+    let mut file = path.to_owned();
+    for _ in 0..=LINKS {
+        match fs::read_link(&file) {
+            Ok(target) => file = file.with_file_name(target),
+            Err(_) => return Ok(file),
+        }
+    }
+    let reason = "its links lead in a circle; choose another file";
+    Err(io::Error::new(io::ErrorKind::InvalidInput, reason))
 }
 
 /// Writes the entries of the folder in which a file is to the disk, so that they are the same after a crash.

@@ -122,6 +122,41 @@ fn writers_of_one_file_do_not_remove_each_others_new_bytes() {
     std::fs::remove_dir_all(&folder).unwrap();
 }
 
+#[test]
+fn only_regular_files_are_replaced_and_links_stay() {
+    use std::os::unix::fs::symlink;
+    let folder = std::env::temp_dir().join(format!("egp-replaced-{}", std::process::id()));
+    std::fs::create_dir_all(folder.join("inner")).unwrap();
+    let path = |name: &str| folder.join(name);
+    let made = std::process::Command::new("mkfifo")
+        .arg(path("pipe"))
+        .status();
+    assert!(made.unwrap().success());
+    symlink("pipe", path("to-pipe")).unwrap();
+    symlink("circle", path("circle")).unwrap();
+    for (name, reason) in [
+        ("pipe", "got a folder, a pipe or a device"),
+        ("to-pipe", "got a folder, a pipe or a device"),
+        ("inner", "got a folder, a pipe or a device"),
+        ("circle", "lead in a circle"),
+    ] {
+        let error = replace_file(&path(name), b"new").unwrap_err().to_string();
+        assert!(error.contains(reason), "{name}: {error}");
+    }
+    std::fs::write(path("inner/target"), "old").unwrap();
+    symlink("inner/target", path("first")).unwrap();
+    symlink(path("first"), path("second")).unwrap();
+    symlink("inner/later", path("dangling")).unwrap();
+    for (link, target) in [("second", "inner/target"), ("dangling", "inner/later")] {
+        replace_file(&path(link), b"new").unwrap();
+        assert!(path(link).is_symlink(), "{link}");
+        assert_eq!(std::fs::read(path(target)).unwrap(), b"new");
+        assert!(!path(target).is_symlink(), "{target}");
+    }
+    assert!(path("first").is_symlink());
+    std::fs::remove_dir_all(&folder).unwrap();
+}
+
 /// A request of the wire for [`requests::settings`] with the library of [`requests::library`].
 fn message(request: &requests::Request, library: [u8; 32]) -> Vec<u8> {
     Request {

@@ -15,6 +15,8 @@
 
 #[path = "../../service/src/config.rs"]
 mod config;
+#[path = "../../service/src/config_error.rs"]
+mod config_error;
 #[path = "../../engine/src/cores.rs"]
 mod cores;
 #[path = "../../service/src/events.rs"]

@@ -128,8 +128,8 @@ mod _core {
         const SETTINGS_DOCUMENT: &str = include_str!("../../../docs/settings.md");
         #[pymodule_export]
         use crate::service::{
-            Engine, InProcessDriver, Server, available_cores, check_service, check_settings,
-            fetch_library, refused_setting, serve, vector_instructions,
+            Engine, InProcessDriver, Server, available_cores, check_certificates, check_service,
+            check_settings, fetch_library, refused_setting, serve, vector_instructions,
         };
     }
 

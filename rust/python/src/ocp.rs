@@ -223,7 +223,7 @@ pub fn solve_weights<'py>(
         ),
         (
             previous.iter().all(|w| *w >= 0.0) && (sum - 1.0).abs() <= 1e-9,
-            "previous weights that are not negative and sum to 1",
+            "previous weights on the simplex, not negative and with the sum 1",
         ),
     ] {
         if !valid {

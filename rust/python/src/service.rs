@@ -380,6 +380,13 @@ pub fn refused_setting(error: &str) -> String {
     egp_session::refused(error)
 }
 
+/// Check the certificates of a zenoh configuration file for a role such as `router`, and return a warning if one of them
+/// expires within 30 days, otherwise `None`. Raise `EgpError` if one cannot be used.
+#[pyfunction]
+pub fn check_certificates(file: PathBuf, role: &str) -> PyResult<Option<String>> {
+    egp_service::check_certificates(&file, role).map_err(raise)
+}
+
 /// The number of cores that this process may use, by its affinity and the quotas of its cgroups.
 #[pyfunction]
 pub fn available_cores() -> usize {

@@ -1,8 +1,9 @@
 //! Validity and owners of the certificates that zenoh's TLS settings name.
 
-use std::fs;
+use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 
+use egp_wire::read_regular;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::registry::{Registry, Unit};
 use serde_json::Value;
@@ -10,6 +11,8 @@ use x509_parser::pem::Pem;
 
 /// Number of days before the expiry of a certificate from which a service warns of it.
 const SOON: i64 = 30;
+/// Largest number of bytes that are read of a file of certificates.
+const LARGEST: u64 = 16 << 20;
 /// A day, s.
 const DAY: i64 = 24 * 3600;
 
@@ -64,7 +67,7 @@ pub(crate) fn earliest_end(
             key.clone()
         };
         let content = if path {
-            fs::read(text).map_err(|error| error.to_string())
+            read_regular(Path::new(text), LARGEST).map_err(|error| error.to_string())
         } else {
             decode(text)
         };
@@ -181,8 +184,10 @@ fn certificates(pem: &[u8]) -> Result<Vec<Certificate>, String> {
 #[cfg(test)]
 #[allow(clippy::unwrap_used)]
 mod tests {
+    use std::fs;
+
     use super::*;
-    use crate::network::configuration;
+    use crate::configuration::configuration;
 
     /// A certificate that ends at [`END`].
     const PEM: &str = "-----BEGIN CERTIFICATE-----

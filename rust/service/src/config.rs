@@ -2,19 +2,19 @@
 
 use std::{
     collections::BTreeMap,
-    fs,
     net::SocketAddr,
     path::{Path, PathBuf},
     time::Duration,
 };
 
-use egp_core::{Settings, SettingsError};
+use egp_core::Settings;
 use egp_engine::available_cores;
-use egp_trace::{Share, ShareError};
-use egp_wire::{LibraryId, Ready, keys::Name, library_keys::library_id};
+use egp_trace::Share;
+use egp_wire::{LibraryId, Ready, keys::Name, library_keys::library_id, read_text};
 use serde::Deserialize;
 use serde::de::{Deserializer, Error as _};
-use thiserror::Error;
+
+use crate::config_error::ConfigError;
 
 /// The configuration of a service, in TOML. Unknown keys are errors.
 ///
@@ -68,7 +68,7 @@ pub struct ServiceConfig {
     #[serde(default, deserialize_with = "address")]
     pub http: Option<SocketAddr>,
     /// What to log: a level, or directives such as `egp_service=debug,zenoh=warn`. By default it is the level info, and of
-    /// zenoh only warnings and errors, without its warnings about single strangers and their queries.
+    /// zenoh only warnings and errors, without its warnings about single strangers, their queries, and attempts to connect.
     #[serde(default = "default_log")]
     pub log: String,
     /// Whether each log line is a JSON object instead of text. Default false.
@@ -120,8 +120,7 @@ fn default_load() -> u64 {
 }
 
 /// The default filter of the log of both kinds of service.
-pub(crate) const DEFAULT_LOG: &str =
-    "info,zenoh=warn,zenoh_link_tls=error,zenoh::net::routing::dispatcher::queries=error";
+pub(crate) const DEFAULT_LOG: &str = "info,zenoh=warn,zenoh_link_tls=error,zenoh::net::routing::dispatcher::queries=error,zenoh::net::runtime::orchestrator=error";
 
 fn default_log() -> String {
     DEFAULT_LOG.to_owned()
@@ -129,38 +128,6 @@ fn default_log() -> String {
 
 fn default_traces_share() -> f64 {
     1.0
-}
-
-/// Why a configuration cannot be used.
-#[derive(Debug, Error)]
-pub enum ConfigError {
-    /// The file cannot be read.
-    #[error("cannot read the configuration {path}: {source}")]
-    Read {
-        /// The file.
-        path: String,
-        /// The error of the system.
-        source: std::io::Error,
-    },
-    /// Not TOML, an unknown key, or a value of the wrong type.
-    #[error("the configuration is not valid: {0}")]
-    Toml(#[from] toml::de::Error),
-    /// A number out of range under `[settings]`.
-    #[error("[settings] is not valid: {0}")]
-    Settings(#[from] SettingsError),
-    /// The share of traces is out of range.
-    #[error(transparent)]
-    Share(#[from] ShareError),
-    /// A value out of range.
-    #[error("`{field}` must be {expected}, got {got}")]
-    Range {
-        /// The key.
-        field: &'static str,
-        /// The accepted range in words.
-        expected: &'static str,
-        /// The value at fault.
-        got: String,
-    },
 }
 
 impl ServiceConfig {
@@ -228,11 +195,15 @@ impl ServiceConfig {
     /// # Errors
     /// [`ConfigError`] naming the file or the key at fault.
     pub fn from_file(path: &Path) -> Result<Self, ConfigError> {
-        let text = fs::read_to_string(path).map_err(|source| ConfigError::Read {
-            path: path.display().to_string(),
+        let name = || path.display().to_string();
+        let text = read_text(path).map_err(|source| ConfigError::Read {
+            path: name(),
             source,
         })?;
-        let mut config = Self::from_toml(&text)?;
+        let mut config = Self::from_toml(&text).map_err(|source| ConfigError::File {
+            path: name(),
+            source: Box::new(source),
+        })?;
         if let Some(folder) = path.parent() {
             config.library = folder.join(&config.library);
             for library in &mut config.libraries {

@@ -12,10 +12,11 @@ use egp_wire::{Code, LIBRARY_PART_BYTES, LibraryFile, LibraryId, MessageLimits};
 use egp_wire::{WireError, library_keys};
 
 use crate::config::ServiceConfig;
+use crate::configuration::{SERVICE, asking, configuration};
 use crate::fetch_error::{Failures, FetchError, FetchFailure};
-use crate::network::{Network, SERVICE, asking, configuration};
+use crate::network::Network;
 use crate::query::Answer;
-use crate::signature::{NewLibrary, Signature, Signers};
+use crate::signature::{NewLibrary, Signature, Signers, Unwritten, check_replaceable};
 
 /// How long all replicas may take to say whether they have a library.
 const QUESTION: Duration = Duration::from_secs(1);
@@ -27,8 +28,12 @@ const ATTEMPTS: u32 = 3;
 const TRANSFER: Duration = Duration::from_secs(10);
 /// Number of bytes that prolong a transfer by a second.
 const SLOWEST: u64 = 4 << 20;
-/// Time between two rounds of questions, and between two looks whether to stop.
+/// Time between two rounds of questions to which nobody answered, and between two looks whether to stop.
 const POLL: Duration = Duration::from_millis(50);
+/// Time between two rounds of questions if somebody answered.
+const AGAIN: Duration = Duration::from_millis(500);
+/// How long another replica may take to appear after all others have given an answer that asking again does not change.
+const LAST: Duration = Duration::from_secs(1);
 
 /// A library that is to be in a file.
 pub struct Wanted<'a> {
@@ -50,8 +55,9 @@ pub enum Fetched {
 }
 
 impl Wanted<'_> {
-    /// Fetches the library unless the file holds it. Replicas are asked until one of them gave it, or `patience` has passed;
-    /// a transfer that has begun then is completed. Hash, signature and the library itself are checked before the file is
+    /// Fetches the library unless the file holds it. Replicas are asked until one of them gave it, or `patience` has passed, or
+    /// for about a second all that announce themselves have answered that they do not have it or sent what cannot be used. A
+    /// transfer that has begun then is completed. Hash, signature and the library itself are checked before the file is
     /// replaced. `stopped` is called every 50 ms and tells whether to give up.
     ///
     /// `network` is used with its zenoh settings only: the session connects as a service with it would, and does not listen.
@@ -68,6 +74,7 @@ impl Wanted<'_> {
         if self.is_there(signers.as_ref()) {
             return Ok(Fetched::Already);
         }
+        check_replaceable(self.file).map_err(unwritten)?;
         let (library, file) = (self.hex(), self.file.display());
         tracing::info!(library, %file, "asking replicas for the library");
         let (config, _) = configuration(network.zenoh_file.as_deref(), &network.zenoh, SERVICE)?;
@@ -113,10 +120,14 @@ impl Wanted<'_> {
     fn write(&self, bytes: &[u8], signature: Option<Signature>) -> Result<(), FetchError> {
         let written = NewLibrary::write(self.file, bytes, signature);
         let replaced = written.and_then(NewLibrary::replace);
-        replaced.map_err(|(path, source)| FetchError::Write {
-            path: path.display().to_string(),
-            source,
-        })
+        replaced.map_err(unwritten)
+    }
+}
+
+fn unwritten((path, source): Unwritten) -> FetchError {
+    FetchError::Write {
+        path: path.display().to_string(),
+        source,
     }
 }
 
@@ -130,20 +141,29 @@ struct Fetching<'a> {
 }
 
 impl Fetching<'_> {
-    /// Asks all replicas for the library until one gave it or the patience ends.
+    /// Asks all replicas for the library until one gave it, the patience ends, or none is left that may give it.
     fn rounds(&mut self, patience: Duration) -> Result<Fetched, FetchError> {
         let (begun, key) = (Instant::now(), library_keys::any_library(&self.wanted.id));
+        // Since when each round ended with answers that asking again does not change.
+        let mut refused: Option<Instant> = None;
         loop {
             let answers = self.network.ask(&key, QUESTION)?;
+            let (mut all, mut refusals) = (0, 0);
             while let Some(answer) = self.next(&answers)? {
-                if let Some(replica) = self.take(answer)? {
-                    return Ok(Fetched::From(replica));
+                match self.take(answer)? {
+                    Taken::Library(replica) => return Ok(Fetched::From(replica)),
+                    Taken::Nothing { is_final } => {
+                        all += 1;
+                        refusals += usize::from(is_final);
+                    }
                 }
             }
-            if begun.elapsed() > patience {
+            let is_refused = all > 0 && refusals == all && all >= self.network.live();
+            refused = refused.or(Some(Instant::now())).filter(|_| is_refused);
+            if begun.elapsed() > patience || refused.is_some_and(|since| since.elapsed() >= LAST) {
                 break;
             }
-            thread::sleep(POLL);
+            self.pause(if all > 0 { AGAIN } else { POLL })?;
         }
         let library = self.wanted.hex();
         let failures = std::mem::take(&mut self.failures).told();
@@ -154,13 +174,29 @@ impl Fetching<'_> {
         Err(FetchError::Failed { library, failures })
     }
 
+    /// Waits for this time.
+    fn pause(&mut self, time: Duration) -> Result<(), FetchError> {
+        let end = Instant::now() + time;
+        while Instant::now() < end {
+            self.look()?;
+            thread::sleep(POLL.min(time));
+        }
+        Ok(())
+    }
+
+    /// Errors if it is to stop.
+    fn look(&mut self) -> Result<(), FetchError> {
+        if (self.stopped)() {
+            let library = self.wanted.hex();
+            return Err(FetchError::Stopped { library });
+        }
+        Ok(())
+    }
+
     /// The next answer, or none after the last one.
     fn next(&mut self, answers: &Receiver<Answer>) -> Result<Option<Answer>, FetchError> {
         loop {
-            if (self.stopped)() {
-                let library = self.wanted.hex();
-                return Err(FetchError::Stopped { library });
-            }
+            self.look()?;
             match answers.recv_timeout(POLL) {
                 Ok(answer) => return Ok(Some(answer)),
                 Err(RecvTimeoutError::Timeout) => {}
@@ -169,24 +205,27 @@ impl Fetching<'_> {
         }
     }
 
-    /// Fetches from the replica of an answer, and writes the library. Returns the replica, or none if that failed.
-    fn take(&mut self, Answer { key, content }: Answer) -> Result<Option<Name>, FetchError> {
+    /// Fetches from the replica of an answer, and writes the library.
+    fn take(&mut self, Answer { key, content }: Answer) -> Result<Taken, FetchError> {
         let replica = key.as_deref().and_then(library_keys::replica_of_library);
         let (replica, failure) = match (content, replica) {
             (Err(error), replica) => (replica, error.into()),
             // A key that is no replica's cannot be asked for parts.
-            (Ok(_), None) => return Ok(None),
-            (Ok(_), Some(replica)) if self.failures.is_given_up(&replica) => return Ok(None),
+            (Ok(_), None) => return Ok(Taken::Nothing { is_final: true }),
+            (Ok(_), Some(replica)) if self.failures.is_given_up(&replica) => {
+                return Ok(Taken::Nothing { is_final: true });
+            }
             (Ok(message), Some(replica)) => match self.transfer(&replica, &message)? {
                 Ok((bytes, signature)) => {
                     self.wanted.write(&bytes, signature)?;
-                    return Ok(Some(replica));
+                    return Ok(Taken::Library(replica));
                 }
                 Err(failure) => (Some(replica), failure),
             },
         };
+        let is_final = failure.is_final();
         self.failures.note(replica, failure);
-        Ok(None)
+        Ok(Taken::Nothing { is_final })
     }
 
     /// Fetches all parts from a replica, and checks them; `message` is its answer.
@@ -271,6 +310,14 @@ impl Fetching<'_> {
         egp_core::Library::from_bytes(bytes)?;
         Ok(())
     }
+}
+
+/// What came of an answer.
+enum Taken {
+    /// This replica gave the library.
+    Library(Name),
+    /// Its replica did not give the library, for good if asking again does not change that.
+    Nothing { is_final: bool },
 }
 
 /// What a replica sent after its check, or why it is not used.

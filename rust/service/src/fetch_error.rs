@@ -5,7 +5,7 @@ use std::io;
 
 use egp_core::library::{LibraryError, MAX_FILE_BYTES};
 use egp_wire::keys::Name;
-use egp_wire::{Invalid, WireError};
+use egp_wire::{Code, Invalid, WireError};
 use thiserror::Error;
 
 use crate::signature::SignatureError;
@@ -67,6 +67,17 @@ pub enum FetchFailure {
     /// The bytes are no library that this version can use.
     #[error("it cannot be used: {0}")]
     Library(#[from] LibraryError),
+}
+
+impl FetchFailure {
+    /// Whether the replica would fail in the same way if it were asked again soon.
+    pub(crate) fn is_final(&self) -> bool {
+        match self {
+            Self::Gone { .. } => false,
+            Self::Refused(error) => error.code == Code::UnknownLibrary,
+            _ => true,
+        }
+    }
 }
 
 /// Why no library was fetched. The files of the library and of its signature are as before, except in two cases of

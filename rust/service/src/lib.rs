@@ -12,6 +12,8 @@
 mod background;
 mod certificates;
 mod config;
+mod config_error;
+mod configuration;
 mod descriptors;
 mod events;
 mod fetch;
@@ -47,7 +49,9 @@ mod traces;
 mod worker;
 mod zenoh_settings;
 
-pub use config::{ConfigError, ServiceConfig};
+pub use config::ServiceConfig;
+pub use config_error::ConfigError;
+pub use configuration::check_certificates;
 pub use egp_session::NetworkError;
 pub use fetch::{Fetched, Wanted};
 pub use fetch_error::{FetchError, FetchFailure};

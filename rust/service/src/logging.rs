@@ -154,6 +154,10 @@ mod tests {
                 assert!(
                     !tracing::enabled!(target: "zenoh::net::routing::dispatcher::queries", Level::WARN)
                 );
+                // An attempt to connect to a router that does not run yet, several times a second.
+                assert!(
+                    !tracing::enabled!(target: "zenoh::net::runtime::orchestrator", Level::WARN)
+                );
                 assert!(tracing::enabled!(target: "zenoh_transport::manager", Level::WARN));
                 assert!(tracing::enabled!(target: "egp_service::server", Level::INFO));
             });

@@ -1,128 +1,27 @@
 //! Access to the network; no other file of this crate uses zenoh.
 
+use std::borrow::Cow;
 use std::cell::Cell;
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{self, Receiver};
 use std::time::{Duration, Instant};
-use std::{borrow::Cow, collections::BTreeMap, fs::File, net::SocketAddr, path::Path};
 
-use egp_session::{NetworkError, get, set};
+use egp_session::{NetworkError, get};
 use egp_wire::{WireError, keys, keys::Name};
-use serde_json::Value;
+use zenoh::Wait;
 use zenoh::bytes::ZBytes;
 use zenoh::qos::{CongestionControl, Priority};
 use zenoh::query::{ConsolidationMode, QueryTarget};
-use zenoh::{Config, Wait};
 
-use crate::certificates::{self, SETTINGS};
 use crate::query::{Answer, Query};
-use crate::zenoh_settings::{DEFAULTS, check_endpoints, free_ports};
+
+/// The configuration of a session.
+pub(crate) type Config = zenoh::Config;
 
 /// Time for which a service in zenoh's mode `client` waits for its routers.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(30);
-
-/// The roles of the programs of this crate, as `egp keys` names their certificates and files.
-pub(crate) const SERVICE: &str = "service";
-pub(crate) const MAP: &str = "map";
-
-/// A zenoh configuration, and the earliest end of its certificates, s since 1970, if it has some.
-pub(crate) type Configured = (Config, Option<i64>);
-
-/// A zenoh configuration: this service's defaults or a JSON5 file, then single values by their key. `role` is [`SERVICE`]
-/// or [`MAP`].
-///
-/// # Errors
-/// [`NetworkError`] naming the file or the key that zenoh does not accept, or a certificate that cannot be read, is not
-/// valid now, or belongs to another role.
-pub(crate) fn configuration(
-    file: Option<&Path>,
-    values: &BTreeMap<String, String>,
-    role: &str,
-) -> Result<Configured, NetworkError> {
-    let given = values
-        .iter()
-        .map(|(key, value)| (key.as_str(), value.as_str()));
-    let config = egp_session::configuration(file, &DEFAULTS, given)?;
-    let end = certificates::earliest_end(&tls(&config, &SETTINGS)?, certificates::now(), role);
-    let end = end.map_err(|(named, reason)| {
-        let place = file.map_or(String::new(), |path| {
-            format!("zenoh file {}, ", path.display())
-        });
-        NetworkError::new(place + &named, &reason)
-    })?;
-    Ok((config, end))
-}
-
-/// Whether a session has zenoh's mode `client`: it is reached through the router that it connects to.
-pub(crate) fn is_client(config: &Config) -> Result<bool, NetworkError> {
-    Ok(get(config, "mode")? == "client")
-}
-
-/// Opens a session with this configuration and closes it again, to see whether a service could start: listeners take a
-/// free port in place of their own, on which a service may be running, and no router or peer is contacted. A client with
-/// endpoints to connect to is opened as a peer, because zenoh opens no client that connects to nothing. Errors if zenoh would
-/// listen on the address of `http`, too.
-///
-/// # Errors
-/// [`NetworkError`] if zenoh opens no session, or a file that the configuration names cannot be read.
-pub(crate) fn rehearse(mut config: Config, http: Option<SocketAddr>) -> Result<(), NetworkError> {
-    for (key, value) in tls(&config, &["listen_private_key", "connect_private_key"])? {
-        if let Some(path) = value.as_str() {
-            File::open(path).map_err(|e| NetworkError::new(format!("{key} {path}"), &e))?;
-        }
-    }
-    let mut listen = get(&config, "listen/endpoints")?;
-    let connect = get(&config, "connect/endpoints")?;
-    check_endpoints(&listen, &connect, http)
-        .map_err(|(doing, why)| NetworkError::new(doing, &why))?;
-    let connects = connect != Value::Array(Vec::new());
-    free_ports(&mut listen);
-    let mode = match get(&config, "mode")? {
-        Value::String(mode) if mode == "client" && connects => Value::from("peer"),
-        mode => mode,
-    };
-    for (key, value) in [
-        ("mode", mode.to_string().as_str()),
-        ("listen/endpoints", listen.to_string().as_str()),
-        ("connect/endpoints", "[]"),
-        ("scouting/multicast/enabled", "false"),
-    ] {
-        set(&mut config, key, value)?;
-    }
-    // A session that is dropped is closed.
-    egp_session::open(config).map(drop)
-}
-
-/// Settings of TLS, each as its key and value. Zenoh shows those with secrets only if they are asked for by their names.
-fn tls(config: &Config, names: &[&str]) -> Result<Vec<(String, Value)>, NetworkError> {
-    let keys = names
-        .iter()
-        .map(|name| format!("transport/link/tls/{name}"));
-    keys.map(|key| Ok((key.clone(), get(config, &key)?)))
-        .collect()
-}
-
-/// The configuration of a session that only asks: it listens nowhere, and waits for its links at most `patience`.
-///
-/// # Errors
-/// [`NetworkError`] if it connects to nothing.
-pub(crate) fn asking(mut config: Config, patience: Duration) -> Result<Config, NetworkError> {
-    let nothing = get(&config, "connect/endpoints")? == Value::Array(Vec::new());
-    if nothing && get(&config, "scouting/multicast/enabled")? == Value::Bool(false) {
-        let reason = "no endpoint; name a replica or a router that has the library with --connect";
-        return Err(NetworkError::new("cannot ask other replicas", &reason));
-    }
-    let patience = patience.as_millis().to_string();
-    for (key, value) in [
-        ("listen/endpoints", "[]"),
-        ("connect/timeout_ms", patience.as_str()),
-        ("connect/exit_on_failure", "false"),
-    ] {
-        set(&mut config, key, value)?;
-    }
-    Ok(config)
-}
 
 /// A query that zenoh delivered.
 pub(crate) struct Received(zenoh::query::Query);
@@ -246,6 +145,19 @@ impl Network {
         let (tokens, patience) = (self.session.liveliness(), Duration::from_secs(1));
         let asked = tokens.get(keys::live(replica)).timeout(patience).wait();
         asked.is_ok_and(|found| found.into_iter().any(|reply| reply.result().is_ok()))
+    }
+
+    /// The number of replicas that announce themselves; 0 if that is not known within a second.
+    pub(crate) fn live(&self) -> usize {
+        let (tokens, patience) = (self.session.liveliness(), Duration::from_secs(1));
+        let asked = tokens.get(keys::ALL_LIVE).timeout(patience).wait();
+        asked.map_or(0, |found| {
+            let found = found
+                .into_iter()
+                .filter_map(|reply| reply.into_result().ok());
+            let names = found.map(|sample| sample.key_expr().to_string());
+            names.collect::<BTreeSet<_>>().len()
+        })
     }
 
     /// Announces the replica to clients.

@@ -32,6 +32,8 @@ pub(crate) struct Stamp {
 pub(crate) struct Reloader {
     libraries: Arc<Libraries>,
     watch: Option<Duration>,
+    /// What else is read again on command, before the library.
+    keys: Option<Box<dyn Fn() + Send>>,
     /// The file as it was loaded last.
     stamp: Option<Stamp>,
     /// The last loading, if it failed.
@@ -68,9 +70,16 @@ impl Reloader {
         Self {
             libraries,
             watch,
+            keys: None,
             stamp,
             failed: None,
         }
+    }
+
+    /// Calls `read` on each command, before the library is loaded. The thread that commands does not wait for a file.
+    pub(crate) fn with_keys(mut self, read: impl Fn() + Send + 'static) -> Self {
+        self.keys = Some(Box::new(read));
+        self
     }
 
     /// Starts the thread, which hands each outcome to `note`.
@@ -98,7 +107,12 @@ impl Reloader {
                 if changed || again {
                     // A change during the loading is seen at the next look.
                     self.stamp = now;
-                    let reloaded = catch_unwind(AssertUnwindSafe(|| reload(&self.libraries)));
+                    let reloaded = catch_unwind(AssertUnwindSafe(|| {
+                        if let Some(read) = self.keys.as_ref().filter(|_| commanded) {
+                            read();
+                        }
+                        reload(&self.libraries)
+                    }));
                     let reloaded = reloaded.unwrap_or(Err(ReloadError::Defect));
                     let before = self.failed.take().map(|failed| failed.why);
                     self.failed = reloaded.as_ref().err().map(|error| Failed {

@@ -1,13 +1,14 @@
 //! A service as a whole process: `egp-server` and `egp serve`.
 
 use egp_trace::TraceFile;
-use egp_wire::Ready;
+use egp_wire::{Ready, survive_file_size_limit};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 use thiserror::Error;
 
 use crate::certificates::{now, warning};
 use crate::config::ServiceConfig;
+use crate::configuration::{SERVICE, configuration, rehearse};
 use crate::descriptors::allow_all;
 use crate::guard::Guard;
 use crate::handler::Handler as _;
@@ -15,7 +16,6 @@ use crate::heap;
 use crate::http::HttpListener;
 use crate::libraries::Libraries;
 use crate::logging::{FlushAtEnd, init_logging, log_filter};
-use crate::network::{SERVICE, configuration, rehearse};
 use crate::server::{Server, wanted};
 use crate::start_error::StartError;
 
@@ -78,6 +78,7 @@ pub fn serve(config: &ServiceConfig) -> Result<(), ServeError> {
     let _flush = FlushAtEnd;
     init_logging(&config.log, config.log_json).map_err(ServeError::Logging)?;
     allow_all();
+    survive_file_size_limit().map_err(ServeError::Signals)?;
     // Signals are registered before the start, so that an early one is not lost.
     let mut signals = Signals::new([SIGTERM, SIGINT, SIGHUP]).map_err(ServeError::Signals)?;
     let (mut ended, mut reload) = (false, false);

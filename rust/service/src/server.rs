@@ -1,6 +1,6 @@
 //! A running service: start and drain.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, Receiver, Sender};
@@ -13,6 +13,7 @@ use prometheus_client::metrics::counter::Counter;
 
 use crate::certificates;
 use crate::config::ServiceConfig;
+use crate::configuration::{SERVICE, configuration, connects_to, is_client};
 use crate::fetch::{Fetched, Wanted};
 use crate::fetch_error::FetchError;
 use crate::guard::Guard;
@@ -24,7 +25,7 @@ use crate::library_table::Reloaded;
 use crate::links::Links;
 use crate::logging::show_lost;
 use crate::metrics::Metrics;
-use crate::network::{Network, PATIENCE, Received, SERVICE, configuration, is_client};
+use crate::network::{Network, PATIENCE, Received};
 use crate::offer::{Asked, Offer, offer};
 use crate::pages::ServicePages;
 use crate::queue::Queue;
@@ -72,7 +73,9 @@ impl Server {
         let stamp = stamp(&config.library);
         let libraries = Arc::new(Libraries::load(config)?);
         let mut server = Self::start_shared(config, &libraries, stopped)?;
-        let reloader = Reloader::new(libraries, config.watch(), stamp);
+        let (shared, keys) = (server.shared.clone(), server.keys.clone());
+        let reloader = Reloader::new(libraries, config.watch(), stamp)
+            .with_keys(move || read_keys(&shared, keys.as_deref()));
         let shared = server.shared.clone();
         server.reloader = Some(reloader.start(move |reloaded| note(&shared.metrics, reloaded))?);
         Ok(server)
@@ -97,7 +100,11 @@ impl Server {
         let mut metrics = Metrics::new(&handler.describe().libraries(), config.workers());
         let twice = metrics.show_name_twice();
         show_lost(metrics.registry());
-        let links = Arc::new(Links::new(is_client(&zenoh)?, metrics.registry()));
+        let links = Arc::new(Links::new(
+            is_client(&zenoh)?,
+            connects_to(&zenoh)?,
+            metrics.registry(),
+        ));
         let shared = share(config, handler, offering, end, metrics)?;
         let replica = shared.replica.clone();
         let serving = Arc::new(AtomicBool::new(false));
@@ -149,28 +156,20 @@ impl Server {
         Ok(server)
     }
 
-    /// Reads the keys of the vehicles again, and loads the library file again on a thread of its own, while requests are
-    /// answered; the log and the metrics tell the outcomes. The library that was served before is still served to requests
+    /// Reads the keys of the vehicles and loads the library file again on a thread of their own, while requests are answered;
+    /// the log and the metrics tell the outcomes. The library that was served before is still served to requests
     /// that state it, and the keys of before hold if the file of the keys cannot be used.
     ///
     /// # Errors
-    /// [`ReloadError::NoFile`] if the server was started with a handler of its own, and [`ReloadError::Ended`] if the thread
-    /// has ended.
+    /// [`ReloadError::NoFile`] if the server was started with a handler of its own, after the keys were read, and
+    /// [`ReloadError::Ended`] if the thread has ended.
     pub fn reload(&self) -> Result<(), ReloadError> {
-        if let (Some(guard), Some(file)) = (&self.shared.guard, &self.keys) {
-            let read = guard.reload(file);
-            self.shared.metrics.keys_read(read.is_ok());
-            match read {
-                Ok(vehicles) => tracing::info!(vehicles, "keys of the vehicles read again"),
-                Err(error) => {
-                    tracing::error!(%error, "keys of the vehicles not read again; those of before hold");
-                }
-            }
-        }
-        let running = self.reloader.as_ref().ok_or(ReloadError::NoFile)?;
+        let Some(running) = &self.reloader else {
+            read_keys(&self.shared, self.keys.as_deref());
+            return Err(ReloadError::NoFile);
+        };
         running.reload()
     }
-
     /// Withdraws the announcement, serves new requests for a moment longer, finishes those that wait, and closes.
     ///
     /// A client that asks meanwhile gets an answer or an error.
@@ -311,6 +310,21 @@ pub(crate) fn wanted(config: &ServiceConfig) -> Option<Wanted<'_>> {
         file: &config.library,
         keys: config.library_keys.as_deref(),
     })
+}
+
+/// Reads the keys of the vehicles again if the service has some. The log and the metrics tell the outcome.
+fn read_keys(shared: &Shared<Received>, file: Option<&Path>) {
+    let (Some(guard), Some(file)) = (&shared.guard, file) else {
+        return;
+    };
+    let read = guard.reload(file);
+    shared.metrics.keys_read(read.is_ok());
+    match read {
+        Ok(vehicles) => tracing::info!(vehicles, "keys of the vehicles read again"),
+        Err(error) => {
+            tracing::error!(%error, "keys of the vehicles not read again; those of before hold");
+        }
+    }
 }
 
 /// Tells log and metrics how a reload ended.

@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 use std::{fs, io};
 
 use egp_core::library;
-use egp_engine::{Replacement, read_regular, sync_folder};
-use egp_wire::from_hex;
+use egp_engine::{Replacement, replaceable, sync_folder};
+use egp_wire::{from_hex, read_regular, read_text};
 use ring::digest::{SHA256, digest};
 use ring::signature::{ED25519, UnparsedPublicKey};
 use thiserror::Error;
@@ -138,6 +138,17 @@ fn unwritten(path: &Path) -> impl Fn(io::Error) -> Unwritten {
     |source| (path.to_owned(), source)
 }
 
+/// Checks that a library and its signature may be written to their files.
+///
+/// # Errors
+/// [`Unwritten`] as of [`replaceable`].
+pub(crate) fn check_replaceable(library: &Path) -> Result<(), Unwritten> {
+    for file in [library, &signature_path(library)] {
+        replaceable(file).map_err(unwritten(file))?;
+    }
+    Ok(())
+}
+
 /// A library and its signature, written beside the files that they are to replace.
 pub(crate) struct NewLibrary {
     file: PathBuf,
@@ -188,6 +199,8 @@ impl NewLibrary {
             (None, None) => Ok(()),
         };
         changed.map_err(unwritten(&beside))?;
+        // As a link, the library may lead into another folder than that of its signature.
+        let library = self.library.path().to_owned();
         if let Err(source) = self.library.rename() {
             let put_back = match self.before {
                 Some(before) => before.rename(),
@@ -200,7 +213,8 @@ impl NewLibrary {
             };
             return Err((self.file, source));
         }
-        sync_folder(&self.file).map_err(unwritten(&self.file))
+        sync_folder(&beside).map_err(unwritten(&beside))?;
+        sync_folder(&library).map_err(unwritten(&self.file))
     }
 }
 
@@ -238,7 +252,7 @@ pub(crate) fn signature_beside(library: &Path) -> Result<Signature, SignatureErr
 }
 
 fn read(path: &Path) -> Result<String, SignatureError> {
-    fs::read_to_string(path).map_err(|source| SignatureError::Read {
+    read_text(path).map_err(|source| SignatureError::Read {
         path: path.display().to_string(),
         source,
     })

@@ -8,7 +8,7 @@ use egp_wire::keys::NameError;
 use egp_wire::{KeyFileError, WireError};
 use thiserror::Error;
 
-use crate::config::ConfigError;
+use crate::config_error::ConfigError;
 use crate::fetch_error::FetchError;
 use crate::libraries::ReloadError;
 

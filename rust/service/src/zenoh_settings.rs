@@ -57,32 +57,18 @@ pub(crate) fn free_ports(endpoints: &mut Value) {
     });
 }
 
-/// Checks that zenoh can connect to all endpoints, and that it does not listen on the address of `http`.
-///
-/// # Errors
-/// What cannot be used, and what to do.
-pub(crate) fn check_endpoints(
-    listen: &Value,
-    connect: &Value,
-    http: Option<SocketAddr>,
-) -> Result<(), (String, &'static str)> {
-    if let Some(address) = http
-        && let Some(endpoint) = listens_on(listen.clone(), address)
-    {
-        let advice = "zenoh listens there, too; choose another address for `http`";
-        return Err((format!("http {address} and {endpoint}"), advice));
-    }
-    match foreign(connect.clone()) {
-        None => Ok(()),
-        Some(endpoint) => Err((
-            format!("connect/endpoints has {endpoint}"),
-            "expected tcp/HOST:PORT or tls/HOST:PORT",
-        )),
-    }
+/// All endpoints of a setting without their options, among which may be secrets.
+pub(crate) fn places(mut endpoints: Value) -> Vec<String> {
+    let mut found = Vec::new();
+    each(&mut endpoints, &mut |endpoint| {
+        let place = endpoint.split(['?', '#']).next().unwrap_or_default();
+        found.push(place.to_owned());
+    });
+    found
 }
 
 /// The first endpoint whose protocol this program does not speak, or that has no port.
-fn foreign(mut endpoints: Value) -> Option<String> {
+pub(crate) fn unusable(mut endpoints: Value) -> Option<String> {
     let mut found = None;
     each(&mut endpoints, &mut |endpoint| {
         let protocol = endpoint.split_once('/').map(|(protocol, _)| protocol);
@@ -91,11 +77,11 @@ fn foreign(mut endpoints: Value) -> Option<String> {
             found.get_or_insert_with(|| endpoint.clone());
         }
     });
-    found
+    found.and_then(|endpoint| places(Value::from(endpoint)).pop())
 }
 
 /// The first endpoint that would take the address from another listener of this process, or it from this one.
-fn listens_on(mut endpoints: Value, address: SocketAddr) -> Option<String> {
+pub(crate) fn same_address(mut endpoints: Value, address: SocketAddr) -> Option<String> {
     let mut found = None;
     each(&mut endpoints, &mut |endpoint| {
         let Some((place, port, _)) = parts(endpoint) else {
@@ -130,12 +116,21 @@ mod tests {
 
     #[test]
     fn a_protocol_that_is_not_built_in_is_found() {
-        assert_eq!(foreign(json!(["tcp/a:1", "tls/b:2"])), None);
-        let found = foreign(json!({"client": ["tcp/a:1", "udp/b:2"]}));
+        assert_eq!(unusable(json!(["tcp/a:1", "tls/b:2"])), None);
+        let found = unusable(json!({"client": ["tcp/a:1", "udp/b:2"]}));
         assert_eq!(found.as_deref(), Some("udp/b:2"));
         for wrong in ["here", "tcp/host", "tcp/host:99999", "tcp/host:port"] {
-            assert_eq!(foreign(json!(wrong)).as_deref(), Some(wrong));
+            assert_eq!(unusable(json!(wrong)).as_deref(), Some(wrong));
         }
+    }
+
+    #[test]
+    fn endpoints_are_shown_without_their_options() {
+        let endpoints =
+            json!({"client": ["tls/a:1#root_ca_certificate_base64=x"], "peer": "tcp/b:2?rel=1"});
+        assert_eq!(places(endpoints), ["tls/a:1", "tcp/b:2"]);
+        let found = unusable(json!("udp/a:1#secret"));
+        assert_eq!(found.as_deref(), Some("udp/a:1"));
     }
 
     #[test]
@@ -150,7 +145,7 @@ mod tests {
             ("127.0.0.1:7452", false),
         ] {
             let address = address.parse().ok();
-            let found = address.and_then(|address| listens_on(endpoints.clone(), address));
+            let found = address.and_then(|address| same_address(endpoints.clone(), address));
             assert_eq!(found.is_some(), same, "{address:?}");
         }
     }

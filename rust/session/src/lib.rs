@@ -52,6 +52,7 @@ pub fn configuration<'a>(
     let (mut config, defaults, more) = match file {
         Some(path) => {
             let doing = || format!("zenoh file {}", path.display());
+            check_file(path).map_err(|reason| NetworkError::new(doing(), &reason))?;
             let config = Config::from_file(path)
                 .map_err(|e| NetworkError::new(doing(), &refused(&e.to_string())))?;
             (config, [].as_slice(), [].as_slice())
@@ -62,6 +63,22 @@ pub fn configuration<'a>(
         set(&mut config, key, value)?;
     }
     Ok(config)
+}
+
+/// Checks that a file can be read to its end, which zenoh does without a limit.
+///
+/// # Errors
+/// Why it cannot.
+fn check_file(path: &Path) -> Result<(), String> {
+    const MOST: u64 = 16 << 20;
+    let found = std::fs::metadata(path).map_err(|error| error.to_string())?;
+    if !found.is_file() {
+        return Err("expected a regular file, got a folder, a pipe or a device".to_owned());
+    }
+    if found.len() > MOST {
+        return Err("expected a configuration of at most 16 MiB, got more".to_owned());
+    }
+    Ok(())
 }
 
 /// Changes one setting; `value` is JSON5.
@@ -129,6 +146,24 @@ pub fn get(config: &Config, key: &str) -> Result<Value, NetworkError> {
     serde_json::from_str(&text).map_err(|e| NetworkError::new(doing(), &e))
 }
 
+/// Checks that a session in zenoh's mode `client` has something to connect to.
+///
+/// # Errors
+/// [`NetworkError`] if it has no endpoint and does not look for routers, either.
+pub fn check_connects(config: &Config) -> Result<(), NetworkError> {
+    if get(config, "mode")? == "client"
+        && get(config, "connect/endpoints")? == Value::Array(Vec::new())
+        && get(config, "scouting/multicast/enabled")? == Value::Bool(false)
+    {
+        let reason = "it has none to connect to; state connect/endpoints, or another mode";
+        return Err(NetworkError::new(
+            "zenoh's mode \"client\" needs a router or a peer",
+            &reason,
+        ));
+    }
+    Ok(())
+}
+
 /// Opens a session.
 ///
 /// # Errors
@@ -145,7 +180,7 @@ pub fn open(config: Config) -> Result<Session, NetworkError> {
 /// that differs from the one before.
 ///
 /// # Errors
-/// [`NetworkError`] with the last reason if no session opens.
+/// [`NetworkError`] with the last reason if no session opens, and at once as of [`check_connects`].
 pub fn open_patiently(
     mut config: Config,
     patience: Duration,
@@ -157,6 +192,7 @@ pub fn open_patiently(
     const LEAST_OPEN: u64 = 500;
     const OPEN_TIMEOUT: &str = "transport/unicast/open_timeout";
     let client = get(&config, "mode")? == "client";
+    check_connects(&config)?;
     if client {
         let longest = u64::try_from(patience.as_millis()).unwrap_or(u64::MAX);
         if let Some(stated) = get(&config, OPEN_TIMEOUT)?.as_u64() {

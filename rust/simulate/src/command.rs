@@ -5,7 +5,7 @@ use std::io::{self, IsTerminal as _, Write as _};
 use std::path::PathBuf;
 
 use clap::Parser;
-use egp_wire::print_line;
+use egp_wire::{Interrupt, print_line, survive_file_size_limit};
 
 use crate::{Config, Run, Scene, ScheduledFault, SimulationError, planted, repeat};
 
@@ -67,8 +67,9 @@ fn seeds(text: &str) -> Result<std::ops::Range<u64>, String> {
 /// Replays one seed with a readable trace, runs many seeds, or shows which oracle finds each planted fault.
 ///
 /// The first of the arguments is the name that the help shows. Returns the exit code: 0 if no promise was broken and every
-/// planted fault was found, 1 otherwise, 2 if the simulation cannot run or for arguments that cannot be used. If the reader of
-/// the output closes it, the program ends early, and the code is that of what was found until then.
+/// planted fault was found, 1 otherwise, 2 if the simulation cannot run or for arguments that cannot be used, and 130 if Ctrl-C
+/// ended a run of many seeds, whose results until then are printed. If the reader of the output closes it, the program ends
+/// early, and the code is that of what was found until then.
 pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     let options = match Options::try_parse_from(arguments) {
         Ok(options) => options,
@@ -79,7 +80,7 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         }
     };
     match run(&options) {
-        Ok(sound) => u8::from(!sound),
+        Ok(code) => code,
         Err(error) => {
             eprintln!("egp-simulate: {error}");
             2
@@ -87,7 +88,9 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     }
 }
 
-fn run(options: &Options) -> Result<bool, SimulationError> {
+/// Runs what the options ask for, and returns the exit code.
+fn run(options: &Options) -> Result<u8, SimulationError> {
+    survive_file_size_limit()?;
     let scene = Scene::load(&options.library, &options.other)?;
     let config = |seed| Config {
         seconds: options.seconds,
@@ -100,7 +103,7 @@ fn run(options: &Options) -> Result<bool, SimulationError> {
         ..Config::new(seed)
     };
     if options.planted {
-        return planted::print(&scene);
+        return Ok(u8::from(!planted::print(&scene)?));
     }
     if let Some(seed) = options.seed {
         let run = repeat(
@@ -114,13 +117,22 @@ fn run(options: &Options) -> Result<bool, SimulationError> {
             print_line(run.trace.join("\n"))?;
         }
         report(seed, &run)?;
-        return Ok(run.violations.is_empty());
+        return Ok(u8::from(!run.violations.is_empty()));
     }
-    let (sound, total) = hunt(&scene, options.seeds.clone(), config)?;
+    let Hunt {
+        seeds,
+        sound,
+        interrupted,
+        total,
+    } = hunt(&scene, options.seeds.clone(), config)?;
     let hours = total.periods as f64 * scene.period() / 3600.0;
     print_line(format_args!(
-        "{} seeds, {hours:.3} vehicle-hours, {} faults, {} of {} periods with a reply: {}",
-        options.seeds.clone().count(),
+        "{}{seeds} seeds, {hours:.3} vehicle-hours, {} faults, {} of {} periods with a reply: {}",
+        if interrupted {
+            "interrupted after "
+        } else {
+            ""
+        },
         total.faults,
         total.replied,
         total.periods,
@@ -130,19 +142,40 @@ fn run(options: &Options) -> Result<bool, SimulationError> {
             "violated"
         }
     ))?;
-    Ok(sound)
+    Ok(if interrupted {
+        Interrupt::STATUS
+    } else {
+        u8::from(!sound)
+    })
 }
 
-/// Runs many seeds and prints those that broke a promise; returns whether none did, and the sums of all runs.
+/// What came of many seeds.
+struct Hunt {
+    /// Number of seeds that were run.
+    seeds: usize,
+    /// Whether none of them broke a promise.
+    sound: bool,
+    /// Whether Ctrl-C came before the last one.
+    interrupted: bool,
+    /// The sums of all runs.
+    total: Run,
+}
+
+/// Runs many seeds, until Ctrl-C comes, and prints those that broke a promise.
 fn hunt(
     scene: &Scene,
     seeds: std::ops::Range<u64>,
     config: impl Fn(u64) -> Config,
-) -> Result<(bool, Run), SimulationError> {
-    let (mut sound, mut total) = (true, Run::default());
+) -> Result<Hunt, SimulationError> {
+    let interrupt = Interrupt::watch()?;
+    let (mut run_seeds, mut sound, mut total) = (0, true, Run::default());
     let (count, terminal) = (seeds.clone().count(), std::io::stderr().is_terminal());
     for (done, seed) in seeds.enumerate() {
+        if interrupt.came() {
+            break;
+        }
         let run = repeat(scene, &config(seed))?;
+        run_seeds += 1;
         if !run.violations.is_empty() {
             sound = false;
             if !report(seed, &run)? {
@@ -166,7 +199,12 @@ fn hunt(
     if terminal {
         eprintln!();
     }
-    Ok((sound, total))
+    Ok(Hunt {
+        seeds: run_seeds,
+        sound,
+        interrupted: interrupt.came() && run_seeds < count,
+        total,
+    })
 }
 
 /// Prints what was broken; returns whether anybody reads on.

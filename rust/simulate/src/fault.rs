@@ -1,5 +1,6 @@
 //! Faults, drawn from the seed or scheduled.
 
+use std::fmt;
 use std::str::FromStr;
 use std::time::Duration;
 
@@ -72,6 +73,39 @@ impl ScheduledFault {
             | Fault::OtherLibrary(r)
             | Fault::Drain(r) => r < replicas,
             Fault::RouterKill(k) | Fault::RouterRestart(k) | Fault::RouterFreeze(k) => k < routers,
+        }
+    }
+}
+
+/// As [`FromStr`] reads it.
+impl fmt::Display for ScheduledFault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (begin, length) = (self.begin.as_secs_f64(), self.length.as_secs_f64());
+        write!(f, "{}@{begin}+{length}", self.fault)
+    }
+}
+
+/// What and where, as in a [`ScheduledFault`].
+impl fmt::Display for Fault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Kill(r) => write!(f, "kill:r{r}"),
+            Self::Freeze(r) => write!(f, "freeze:r{r}"),
+            Self::Slow(r) => write!(f, "slow:r{r}"),
+            Self::Partition(v, r) => write!(f, "partition:car-{v}:r{r}"),
+            Self::HalfOpen(v, r) => write!(f, "half-open:car-{v}:r{r}"),
+            Self::Restart(r) => write!(f, "restart:r{r}"),
+            Self::VehicleClock(v) => write!(f, "vehicle-clock:car-{v}"),
+            Self::ReplicaClock(r) => write!(f, "replica-clock:r{r}"),
+            Self::Hostile(r) => write!(f, "hostile:r{r}"),
+            Self::Disorder(r) => write!(f, "disorder:r{r}"),
+            Self::Flood(r) => write!(f, "flood:r{r}"),
+            Self::Reload(r) => write!(f, "reload:r{r}"),
+            Self::OtherLibrary(r) => write!(f, "other-library:r{r}"),
+            Self::Drain(r) => write!(f, "drain:r{r}"),
+            Self::RouterKill(k) => write!(f, "router-kill:router-{k}"),
+            Self::RouterRestart(k) => write!(f, "router-restart:router-{k}"),
+            Self::RouterFreeze(k) => write!(f, "router-freeze:router-{k}"),
         }
     }
 }
@@ -161,4 +195,37 @@ pub(crate) fn draw(
         _ => Fault::Drain(r),
     };
     (fault, length)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_scheduled_fault_is_written_as_it_is_read() {
+        for text in [
+            "kill:r9@1+2",
+            "freeze:r0@1.5+0.25",
+            "slow:r1@0+1",
+            "partition:car-0:r1@1+0.5",
+            "half-open:car-2:r0@1+0.5",
+            "restart:r0@1+0",
+            "vehicle-clock:car-0@1+0",
+            "replica-clock:r0@1+0",
+            "hostile:r0@1+2",
+            "disorder:r0@1+2",
+            "flood:r0@1+2",
+            "reload:r0@1+2",
+            "other-library:r0@1+2",
+            "drain:r0@1+2",
+            "router-kill:router-0@1+2",
+            "router-restart:router-1@1+0",
+            "router-freeze:router-1@1+2",
+        ] {
+            let written = text
+                .parse::<ScheduledFault>()
+                .map(|fault| fault.to_string());
+            assert_eq!(written.as_deref(), Ok(text));
+        }
+    }
 }

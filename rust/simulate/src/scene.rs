@@ -11,7 +11,7 @@ use egp_plant::{PlantError, VehicleId};
 use egp_wire::WireError;
 use thiserror::Error;
 
-use crate::fault::Fault;
+use crate::fault::ScheduledFault;
 
 /// The car that is simulated.
 pub(crate) const CAR: VehicleId = VehicleId::FordEscort;
@@ -42,10 +42,10 @@ pub enum SimulationError {
     Key(#[from] egp_wire::KeyError),
     /// A scheduled fault is one of a vehicle, a replica or a router that does not take part.
     #[error(
-        "{0:?} is a fault of a vehicle, a replica or a router that the run does not have; see --vehicles, --replicas and \
+        "{0} is a fault of a vehicle, a replica or a router that the run does not have; see --vehicles, --replicas and \
          --routers"
     )]
-    Schedule(Fault),
+    Schedule(ScheduledFault),
     /// The result cannot be written.
     #[error(transparent)]
     Output(#[from] std::io::Error),

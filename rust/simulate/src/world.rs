@@ -138,7 +138,7 @@ impl World<'_> {
         if !self.config.faults.is_empty() {
             for scheduled in &self.config.faults {
                 if !scheduled.fits(vehicles, replicas, routers) {
-                    return Err(SimulationError::Schedule(scheduled.fault));
+                    return Err(SimulationError::Schedule(*scheduled));
                 }
                 let event = Event::Begin(scheduled.fault, scheduled.length);
                 self.agenda.add(scheduled.begin, event);

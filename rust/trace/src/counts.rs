@@ -1,7 +1,7 @@
 //! What became of spans.
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Numbers of spans by what became of them. Clones count the same spans.
 #[derive(Clone, Debug, Default)]
@@ -12,6 +12,8 @@ pub(crate) struct Outcomes {
     pub(crate) written: AtomicU64,
     pub(crate) dropped: AtomicU64,
     pub(crate) failed: AtomicU64,
+    /// The error of the last spans that could not be written.
+    pub(crate) error: Mutex<Option<String>>,
 }
 
 impl Counts {
@@ -27,6 +29,19 @@ impl Counts {
 
     /// Spans that could not be written.
     pub fn failed(&self) -> u64 {
-        self.0.failed.load(Ordering::Relaxed)
+        self.0.failed.load(Ordering::Acquire)
+    }
+
+    /// Why the last spans that could not be written were not, as the system says it; none if all could.
+    pub fn last_error(&self) -> Option<String> {
+        let error = self.0.error.lock();
+        error.unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Takes note of spans that could not be written.
+    pub(crate) fn fail(&self, spans: u64, error: String) {
+        *self.0.error.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
+        // The number comes last, so that who sees it finds the reason.
+        self.0.failed.fetch_add(spans, Ordering::Release);
     }
 }

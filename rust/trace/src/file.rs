@@ -1,8 +1,7 @@
 //! The file of spans, which a thread of its own writes.
 
-use std::fs::{self, File, OpenOptions};
-use std::io::{self, Write as _};
-use std::os::unix::fs::FileTypeExt as _;
+use std::fs;
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, SyncSender, channel, sync_channel};
@@ -11,6 +10,7 @@ use std::time::Duration;
 
 use thiserror::Error;
 
+use crate::append::{append, append_line};
 use crate::counts::Counts;
 use crate::line::{Resource, line};
 use crate::span::Span;
@@ -164,18 +164,14 @@ impl Writer {
             return;
         }
         let line = line(&self.resource, spans).map_err(io::Error::from);
-        let written = line.and_then(|line| {
-            let mut file = append(&self.path)?;
-            let before = file.metadata()?.len();
-            // A part of a line, as a full disk leaves it, would spoil the next line, too.
-            file.write_all(&line)
-                .inspect_err(|_| drop(file.set_len(before)))
-        });
-        let count = match &written {
-            Ok(()) => &self.counts.0.written,
-            Err(_) => &self.counts.0.failed,
-        };
-        count.fetch_add(spans.len() as u64, Ordering::Relaxed);
+        let written = line.and_then(|line| append_line(&self.path, &line));
+        let count = spans.len() as u64;
+        match &written {
+            Ok(()) => {
+                self.counts.0.written.fetch_add(count, Ordering::Relaxed);
+            }
+            Err(error) => self.counts.fail(count, error.to_string()),
+        }
         let path = self.path.display();
         match (&written, self.failing) {
             (Err(error), false) => tracing::warn!(%path, %error, "traces are not written"),
@@ -184,18 +180,6 @@ impl Writer {
         }
         self.failing = written.is_err();
     }
-}
-
-/// Opens a file to append to it.
-///
-/// # Errors
-/// [`io::Error`] if it cannot be opened, or is a pipe: opening one would wait for a reader.
-fn append(path: &Path) -> io::Result<File> {
-    if fs::metadata(path).is_ok_and(|found| found.file_type().is_fifo()) {
-        let reason = "expected a file, got a pipe";
-        return Err(io::Error::new(io::ErrorKind::InvalidInput, reason));
-    }
-    OpenOptions::new().append(true).create(true).open(path)
 }
 
 #[cfg(test)]
@@ -334,6 +318,8 @@ mod tests {
         fs::remove_dir_all(&inner).unwrap();
         file.add(vec![span(1)]);
         wait_until(|| file.counts().failed() == 1);
+        let reason = file.counts().last_error();
+        assert!(reason.is_some_and(|reason| reason.contains("No such file")));
         fs::create_dir(&inner).unwrap();
         file.add(vec![span(2)]);
         drop(file);

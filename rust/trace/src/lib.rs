@@ -19,6 +19,7 @@
 //! # Ok::<(), egp_trace::ShareError>(())
 //! ```
 
+mod append;
 mod counts;
 mod file;
 mod id;

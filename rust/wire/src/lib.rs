@@ -22,6 +22,7 @@
 mod check;
 mod error;
 mod fields;
+mod files;
 mod friction;
 mod header;
 mod hex;
@@ -37,12 +38,14 @@ mod request;
 mod road;
 pub mod road_keys;
 mod seal;
+mod signals;
 mod tensor;
 mod threads;
 mod writer;
 
 pub use check::MAX_BUDGET_US;
 pub use error::{Code, Invalid, WireError, code_name};
+pub use files::{read_regular, read_text};
 pub use friction::Friction;
 pub use header::Header;
 pub use hex::from_hex;
@@ -61,6 +64,7 @@ pub use road::{
 };
 
 pub use seal::{KeyError, KeyFileError, KeyRing, Seal, Tag, VehicleKey};
+pub use signals::{Interrupt, survive_file_size_limit};
 pub use threads::set_receive_threads;
 
 /// The messages as generated from `proto/egp/v1/egp.proto`, unvalidated.

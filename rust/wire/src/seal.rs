@@ -10,14 +10,15 @@
 //! The tag of an answer therefore holds for one vehicle, one replica, one sequence number and one request only.
 
 use std::collections::BTreeMap;
+use std::fmt;
 use std::path::Path;
-use std::{fmt, fs};
 
 use hmac::{Hmac, KeyInit as _, Mac as _};
 use prost::Message as _;
 use sha2::Sha256;
 use thiserror::Error;
 
+use crate::files::read_text;
 use crate::hex::from_hex;
 use crate::keys::Name;
 use crate::proto;
@@ -190,7 +191,7 @@ impl KeyRing {
     /// [`KeyFileError`] naming the file.
     pub fn read(path: &Path) -> Result<Self, KeyFileError> {
         let name = || path.display().to_string();
-        let text = fs::read_to_string(path).map_err(|source| KeyFileError::Read {
+        let text = read_text(path).map_err(|source| KeyFileError::Read {
             path: name(),
             source,
         })?;

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use clap::Parser;
 use egp_simulator::{CAR, Course, Period, SimulatedVehicle, Track};
-use egp_vehicle::{GateLimits, Mode, Step, VehicleConfig};
+use egp_vehicle::{GateLimits, Mode, Step, VehicleConfig, survive_file_size_limit};
 
 /// Below this speed, m/s, the car stands.
 const STANDING: f64 = 0.1;
@@ -112,6 +112,7 @@ fn show(period: &Period, weights: &[f64]) {
 }
 
 fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
+    survive_file_size_limit()?;
     let course = Arc::new(Course::new(
         arguments.track,
         &arguments.friction,

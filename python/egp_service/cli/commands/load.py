@@ -77,7 +77,10 @@ def load(
         raise typer.Exit(_run(arguments))
     # The file has no name, so that nothing is left behind if a signal ends the program.
     with TemporaryFile() as file:
-        write_requests(read_recording(replay), file)
+        recorded = read_recording(replay)
+        if not recorded.steps:
+            raise EgpError(f"{replay} has no step to replay. {recorded.missing}".rstrip())
+        write_requests(recorded, file)
         file.seek(0)
         requests = f"/dev/fd/{file.fileno()}"
         code = _run(["--requests", requests, *arguments])

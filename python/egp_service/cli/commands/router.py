@@ -41,11 +41,14 @@ def router(
       egp serve --config service.toml    (with connect/endpoints of the router)
       egp drive --connect tcp/127.0.0.1:7449
     """
+    from egp_service._core import check_certificates
     from egp_service.cli.signals import until_signal
     from egp_service.control.router import Router
 
     endpoints = listen or ([] if zenoh else [ROUTER_ENDPOINT])
     check_free(endpoints)
+    if zenoh is not None and (warning := check_certificates(zenoh, "router")) is not None:
+        typer.echo(f"egp: {warning}", err=True)
     # Each connection takes a descriptor, also that of a stranger before its handshake ends.
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))

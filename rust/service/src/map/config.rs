@@ -9,7 +9,8 @@ use egp_wire::TILE_ORIGINS;
 use serde::Deserialize;
 
 use super::store::MapLimits;
-use crate::config::{ConfigError, DEFAULT_LOG, address};
+use crate::config::{DEFAULT_LOG, address};
+use crate::config_error::ConfigError;
 
 /// The configuration of a map service, in TOML. Unknown keys are errors.
 #[derive(Clone, Debug, Deserialize)]

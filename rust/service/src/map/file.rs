@@ -5,11 +5,10 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use egp_engine::read_regular;
 use egp_map::Tile;
 use egp_wire::keys::Name;
 use egp_wire::road_keys::RoadKey;
-use egp_wire::{ROAD_TILES, VERSION, proto};
+use egp_wire::{ROAD_TILES, VERSION, proto, read_regular};
 use prost::Message as _;
 use ring::digest::{SHA256, SHA256_OUTPUT_LEN, digest};
 

@@ -312,7 +312,7 @@ mod tests {
         let intake = keeper.intake.clone();
         let pages = MapPages {
             intake: intake.clone(),
-            links: Arc::new(Links::new(false, &mut Registry::default())),
+            links: Arc::new(Links::new(false, Vec::new(), &mut Registry::default())),
             serving: Arc::new(AtomicBool::new(true)),
         };
         assert_eq!(pages.not_ready(), None);

@@ -9,7 +9,7 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use egp_session::NetworkError;
-use egp_wire::road_keys;
+use egp_wire::{road_keys, survive_file_size_limit};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 use thiserror::Error;
@@ -24,15 +24,14 @@ use super::pages::MapPages;
 use super::store::{Road, Store};
 use super::writer::{Content, Writer, remove_unfinished, write};
 use crate::certificates;
-use crate::config::ConfigError;
+use crate::config_error::ConfigError;
+use crate::configuration::{Configured, MAP, configuration, connects_to, is_client, rehearse};
 use crate::descriptors::allow_all;
 use crate::heap;
 use crate::http::{HttpEndpoint, HttpListener};
 use crate::links::{Links, Watch, watch};
 use crate::logging::{FlushAtEnd, init_logging, log_filter, show_lost};
-use crate::network::{
-    Configured, MAP, Network, PATIENCE, Received, configuration, is_client, rehearse,
-};
+use crate::network::{Network, PATIENCE, Received};
 use crate::start_error::StartError;
 
 /// Where the service listens by default; a service of control steps on the same machine has the port before this one.
@@ -110,7 +109,11 @@ impl MapServer {
         let (zenoh, end) = zenoh_settings(config)?;
         let mut intake = Intake::new();
         show_lost(intake.metrics.registry());
-        let links = Arc::new(Links::new(is_client(&zenoh)?, intake.metrics.registry()));
+        let links = Arc::new(Links::new(
+            is_client(&zenoh)?,
+            connects_to(&zenoh)?,
+            intake.metrics.registry(),
+        ));
         if let Some(end) = end {
             certificates::show(end, intake.metrics.registry());
         }
@@ -235,6 +238,7 @@ pub fn serve_map(config: &MapConfig) -> Result<(), MapError> {
     let _flush = FlushAtEnd;
     init_logging(&config.log, config.log_json).map_err(MapError::Logging)?;
     allow_all();
+    survive_file_size_limit()?;
     // Signals are registered before the start, so that an early one is not lost.
     let mut signals = Signals::new([SIGTERM, SIGINT, SIGHUP])?;
     let (mut ended, closing) = (false, closing(&signals));

@@ -3,6 +3,7 @@
 mod allocation;
 mod cores;
 mod draining;
+mod files;
 mod hostile;
 mod loopback;
 mod map_store;

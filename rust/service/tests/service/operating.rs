@@ -16,12 +16,12 @@ use egp_testing::ports::free_port;
 use serde_json::Value;
 use zenoh::Wait as _;
 
-fn free_address() -> SocketAddr {
+pub fn free_address() -> SocketAddr {
     ([127, 0, 0, 1], free_port()).into()
 }
 
 /// Status and body of the answer to one request over HTTP; an error if nobody listens.
-fn ask(address: SocketAddr, method: &str, path: &str) -> std::io::Result<(u16, String)> {
+pub fn ask(address: SocketAddr, method: &str, path: &str) -> std::io::Result<(u16, String)> {
     let mut stream = TcpStream::connect(address)?;
     stream.set_read_timeout(Some(Duration::from_secs(10)))?;
     write!(
@@ -59,7 +59,7 @@ fn start_client(name: &str, router: &str, http: SocketAddr) -> Child {
 }
 
 /// The command of [`start_client`], with this filter of the log.
-fn client(name: &str, router: &str, http: SocketAddr, log: &str) -> Command {
+pub fn client(name: &str, router: &str, http: SocketAddr, log: &str) -> Command {
     let library = library_file(name);
     let config = library.with_extension("toml");
     let text = format!(
@@ -87,7 +87,7 @@ fn router(endpoint: &str) -> zenoh::Session {
 }
 
 /// Waits until a page has these words.
-fn wait_for(http: SocketAddr, page: &str, words: &str) {
+pub fn wait_for(http: SocketAddr, page: &str, words: &str) {
     let late = Instant::now() + Duration::from_secs(60);
     while !ask(http, "GET", page).is_ok_and(|(_, text)| text.contains(words)) {
         assert!(Instant::now() < late, "{words} on {page}");
@@ -95,7 +95,7 @@ fn wait_for(http: SocketAddr, page: &str, words: &str) {
     }
 }
 
-fn signal(process: &Child, name: &str) {
+pub fn signal(process: &Child, name: &str) {
     let kill = Command::new("kill")
         .args([name, &process.id().to_string()])
         .status();

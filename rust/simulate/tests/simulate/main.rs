@@ -1,6 +1,7 @@
 //! Runs of the simulation, and what they find.
 #![allow(clippy::unwrap_used)]
 
+mod command;
 mod planted;
 mod routers_and_libraries;
 mod simulation;

@@ -1,0 +1,38 @@
+//! The program `egp-simulate`.
+
+use std::process::{Command, Stdio};
+use std::time::Duration;
+
+use crate::shipped;
+
+fn program() -> Command {
+    let [library, other] = shipped();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_egp-simulate"));
+    command
+        .args([library.as_os_str(), "--other".as_ref(), other.as_os_str()])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped());
+    command
+}
+
+#[test]
+fn an_interrupted_search_prints_what_it_found() {
+    let searching = program().args(["--seeds", "0..1000000"]).spawn().unwrap();
+    std::thread::sleep(Duration::from_secs(10));
+    let id = searching.id().to_string();
+    let sent = Command::new("kill").args(["-INT", &id]).status();
+    assert!(sent.unwrap().success());
+    let output = searching.wait_with_output().unwrap();
+    let told = String::from_utf8(output.stdout).unwrap();
+    assert_eq!(output.status.code(), Some(130), "{told}");
+    assert!(told.starts_with("interrupted after "), "{told}");
+}
+
+#[test]
+fn a_fault_of_nobody_is_named_as_it_was_written() {
+    let fault = ["--seed", "0", "--fault", "kill:r9@1+2"];
+    let output = program().args(fault).output().unwrap();
+    let told = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(2), "{told}");
+    assert!(told.contains("kill:r9@1+2 is a fault of"), "{told}");
+}
