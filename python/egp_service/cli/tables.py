@@ -149,7 +149,7 @@ def vehicle_table(label: str, parameters: Mapping[str, Mapping[str, float | bool
     for name, found in parameters.items():
         remarks = []
         if found.get("assumed"):
-            remarks.append("scales with the mass of the import")
+            remarks.append("not determined by the data: scales with the mass of the import")
         elif not found["determined"]:
             remarks.append("not determined by the data")
         if found["at_bound"]:
