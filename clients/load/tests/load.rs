@@ -3,11 +3,11 @@
 
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::Command;
 use std::time::Duration;
 
 use egp_service::{Server, ServiceConfig};
-use egp_testing::outputs::without_output;
+use egp_testing::outputs::{interrupted, without_output};
 use egp_testing::ports::free_endpoint;
 use serde_json::Value;
 
@@ -16,14 +16,20 @@ const LIBRARY: &str = concat!(
     "/../../python/egp_service/shipped/demo-library.safetensors"
 );
 
-#[test]
-fn every_due_request_is_accounted_for() {
+/// A service of the demo's library with a changed configuration, and its endpoint.
+fn serve(change: impl FnOnce(&mut ServiceConfig)) -> (Server, String) {
     let endpoint = free_endpoint();
     let mut config = ServiceConfig::new(LIBRARY);
     config
         .zenoh
         .insert("listen/endpoints".to_owned(), format!("[\"{endpoint}\"]"));
-    let server = Server::start(&config).unwrap();
+    change(&mut config);
+    (Server::start(&config).unwrap(), endpoint)
+}
+
+#[test]
+fn every_due_request_is_accounted_for() {
+    let (server, endpoint) = serve(|_| {});
     let json = concat!(env!("CARGO_TARGET_TMPDIR"), "/load.json");
     let output = Command::new(env!("CARGO_BIN_EXE_egp-load"))
         .args([
@@ -75,13 +81,7 @@ fn every_due_request_is_accounted_for() {
 
 #[test]
 fn a_service_for_another_vehicle_is_told_from_one_that_is_not_there() {
-    let endpoint = free_endpoint();
-    let mut config = ServiceConfig::new(LIBRARY);
-    config.settings.mass = Some(1284.0);
-    config
-        .zenoh
-        .insert("listen/endpoints".to_owned(), format!("[\"{endpoint}\"]"));
-    let server = Server::start(&config).unwrap();
+    let (server, endpoint) = serve(|config| config.settings.mass = Some(1284.0));
     let output = Command::new(env!("CARGO_BIN_EXE_egp-load"))
         .args(["--connect", &endpoint, "--vehicles", "1"])
         .output()
@@ -95,15 +95,9 @@ fn a_service_for_another_vehicle_is_told_from_one_that_is_not_there() {
 
 #[test]
 fn a_measurement_without_a_plan_fails_and_says_why() {
-    let endpoint = free_endpoint();
     let keys = Path::new(env!("CARGO_TARGET_TMPDIR")).join("load.keys");
     fs::write(&keys, format!("load/car-0 {}\n", "a1".repeat(32))).unwrap();
-    let mut config = ServiceConfig::new(LIBRARY);
-    config.vehicle_keys = Some(keys);
-    config
-        .zenoh
-        .insert("listen/endpoints".to_owned(), format!("[\"{endpoint}\"]"));
-    let server = Server::start(&config).unwrap();
+    let (server, endpoint) = serve(|config| config.vehicle_keys = Some(keys));
     let output = Command::new(env!("CARGO_BIN_EXE_egp-load"))
         .args(["--connect", &endpoint, "--vehicles", "1"])
         .args(["--seconds", "1", "--warm-up", "0.1"])
@@ -125,24 +119,12 @@ fn a_measurement_without_a_plan_fails_and_says_why() {
 
 #[test]
 fn an_interrupted_measurement_is_reported() {
-    let endpoint = free_endpoint();
-    let mut config = ServiceConfig::new(LIBRARY);
-    config
-        .zenoh
-        .insert("listen/endpoints".to_owned(), format!("[\"{endpoint}\"]"));
-    let server = Server::start(&config).unwrap();
-    let measuring = Command::new(env!("CARGO_BIN_EXE_egp-load"))
+    let (server, endpoint) = serve(|_| {});
+    let mut command = Command::new(env!("CARGO_BIN_EXE_egp-load"));
+    command
         .args(["--connect", &endpoint, "--vehicles", "1"])
-        .args(["--seconds", "600", "--warm-up", "0"])
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
-    std::thread::sleep(Duration::from_secs(5));
-    let id = measuring.id().to_string();
-    let sent = Command::new("kill").args(["-INT", &id]).status();
-    assert!(sent.unwrap().success());
-    let output = measuring.wait_with_output().unwrap();
+        .args(["--seconds", "600", "--warm-up", "0"]);
+    let output = interrupted(&mut command, Duration::from_secs(1));
     let told = String::from_utf8(output.stderr).unwrap();
     assert_eq!(output.status.code(), Some(130), "{told}");
     let table = String::from_utf8(output.stdout).unwrap();
@@ -173,12 +155,7 @@ fn a_measurement_takes_time() {
 
 #[test]
 fn the_report_is_kept_although_nobody_reads_the_result() {
-    let endpoint = free_endpoint();
-    let mut config = ServiceConfig::new(LIBRARY);
-    config
-        .zenoh
-        .insert("listen/endpoints".to_owned(), format!("[\"{endpoint}\"]"));
-    let _server = Server::start(&config).unwrap();
+    let (_server, endpoint) = serve(|_| {});
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR"));
     let mut reports = ["closed.json", "full.json"]
         .map(|name| folder.join(name))

@@ -7,6 +7,7 @@ include!(concat!(env!("OUT_DIR"), "/doc.rs"));
 
 mod array;
 mod belief;
+mod checks;
 mod discovery;
 mod driver;
 mod error;
@@ -127,10 +128,12 @@ mod _core {
         #[pymodule_export]
         const SETTINGS_DOCUMENT: &str = include_str!("../../../docs/settings.md");
         #[pymodule_export]
-        use crate::service::{
-            Engine, InProcessDriver, Server, available_cores, check_certificates, check_service,
-            check_settings, fetch_library, refused_setting, serve, vector_instructions,
+        use crate::checks::{
+            available_cores, check_certificates, check_service, check_settings, refused_setting,
+            vector_instructions,
         };
+        #[pymodule_export]
+        use crate::service::{Engine, InProcessDriver, Server, fetch_library, serve};
     }
 
     #[pymodule]

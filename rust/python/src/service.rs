@@ -20,7 +20,6 @@ use crate::driver::{Decision, driver_config, measurement, time};
 use crate::error::{InvalidArgumentError, RefusedError, raise};
 use crate::parameters::VehicleParameters;
 use crate::text::list;
-use crate::wire::Replica;
 
 /// The control step of the service in this process: the same request gives the same bytes of a reply.
 ///
@@ -345,15 +344,6 @@ fn until_signal<T: Send, E: Display + Send>(
     }
 }
 
-/// Check all that a service needs to start, as `egp-server --check` does. Return what it would serve, and a warning if one of
-/// its certificates expires within 30 days, otherwise `None`.
-#[pyfunction]
-pub fn check_service(py: Python<'_>, config_toml: &str) -> PyResult<(Replica, Option<String>)> {
-    let config = ServiceConfig::from_toml(config_toml).map_err(raise)?;
-    let checked = (py.detach(|| egp_service::check(&config))).map_err(raise)?;
-    Ok((Replica::of(py, checked.served)?, checked.warning))
-}
-
 /// Discards the exception that Python's own handler of a signal raises once a service has ended because of the signal.
 pub fn after_signal(py: Python<'_>) -> PyResult<()> {
     match py.check_signals() {
@@ -365,39 +355,4 @@ pub fn after_signal(py: Python<'_>) -> PyResult<()> {
         }
         _ => Ok(()),
     }
-}
-
-/// The vector instructions that Gaussian processes use on this machine: `AVX-512`, `AVX2` or `none`.
-#[pyfunction]
-pub fn vector_instructions() -> &'static str {
-    egp_core::vector_instructions()
-}
-
-/// Why zenoh does not accept a setting or a file, from the text of its error; without what the error quotes, which may be
-/// secret.
-#[pyfunction]
-pub fn refused_setting(error: &str) -> String {
-    egp_session::refused(error)
-}
-
-/// Check the certificates of a zenoh configuration file for a role such as `router`, and return a warning if one of them
-/// expires within 30 days, otherwise `None`. Raise `EgpError` if one cannot be used.
-#[pyfunction]
-pub fn check_certificates(file: PathBuf, role: &str) -> PyResult<Option<String>> {
-    egp_service::check_certificates(&file, role).map_err(raise)
-}
-
-/// The number of cores that this process may use, by its affinity and the quotas of its cgroups.
-#[pyfunction]
-pub fn available_cores() -> usize {
-    egp_engine::available_cores()
-}
-
-/// Raise `InvalidArgumentError`, with the line and the key, for settings of the control step that cannot be used with any
-/// library.
-#[pyfunction]
-pub fn check_settings(settings_toml: &str) -> PyResult<()> {
-    Settings::from_toml(settings_toml)
-        .map(drop)
-        .map_err(InvalidArgumentError::raise)
 }

@@ -1,28 +1,26 @@
 //! The program `egp-simulate`.
 
-use std::process::{Command, Stdio};
+use std::process::Command;
 use std::time::Duration;
+
+use egp_testing::outputs::interrupted;
 
 use crate::shipped;
 
 fn program() -> Command {
     let [library, other] = shipped();
     let mut command = Command::new(env!("CARGO_BIN_EXE_egp-simulate"));
-    command
-        .args([library.as_os_str(), "--other".as_ref(), other.as_os_str()])
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped());
+    command.args([library.as_os_str(), "--other".as_ref(), other.as_os_str()]);
     command
 }
 
 #[test]
 fn an_interrupted_search_prints_what_it_found() {
-    let searching = program().args(["--seeds", "0..1000000"]).spawn().unwrap();
-    std::thread::sleep(Duration::from_secs(10));
-    let id = searching.id().to_string();
-    let sent = Command::new("kill").args(["-INT", &id]).status();
-    assert!(sent.unwrap().success());
-    let output = searching.wait_with_output().unwrap();
+    let mut searching = program();
+    let output = interrupted(
+        searching.args(["--seeds", "0..1000000"]),
+        Duration::from_millis(100),
+    );
     let told = String::from_utf8(output.stdout).unwrap();
     assert_eq!(output.status.code(), Some(130), "{told}");
     assert!(told.starts_with("interrupted after "), "{told}");
