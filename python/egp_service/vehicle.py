@@ -73,8 +73,9 @@ def check_limits(vehicle: VehicleParameters, origin: str) -> None:
         EgpError: naming the first value that is too small or too large, as one in another unit.
 
     """
+    fields = vehicle.fields()
     for name, (least, most) in _LIMITS.items():
-        value = vehicle.fields()[name]
+        value = fields[name]
         if not least <= abs(value) <= most:
             raise EgpError(
                 f"{origin}: {name} is {value:g}: expected a magnitude of {least:g} to {most:g}; "

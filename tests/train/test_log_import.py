@@ -329,7 +329,7 @@ def test_a_speed_in_the_wrong_unit_is_found_without_the_mass(tmp_path: Path, kin
 def test_a_known_wheelbase_sharpens_the_checks(tmp_path: Path) -> None:
     si = _log()
     si["omega"] = si["v_x"] * si["delta"] / 0.33  # of a model car
-    si["omega"], si["delta"] = si["omega"] / 4.0, si["delta"] / 4.0  # 2.5 g
+    si["omega"], si["delta"] = si["omega"] / 2.0, si["delta"] / 2.0
     _write(tmp_path / "drive.csv", si)
     columns = {name: Column.parse(text) for name, text in COLUMNS.items()}
     with pytest.raises(EgpError, match=r"fit a wheelbase of 0\.33 m, expected 1 to 16\.8 m"):

@@ -174,11 +174,19 @@ fn run(arguments: &Arguments) -> Result<u8, Failure> {
     let (interrupted, unsolved) = if let Some(file) = &arguments.requests {
         let mut replay = Replay::new(arguments, recording::read(file)?)?;
         let result = ramp(arguments, &mut replay, &Interrupt::watch()?)?;
-        report(arguments, result.rates.is_empty(), &result)?;
+        report(
+            arguments,
+            result.interrupted && result.rates.is_empty(),
+            &result,
+        )?;
         (result.interrupted, result.unsolved())
     } else {
         let (result, interrupted) = drive_all(arguments)?;
-        report(arguments, result.outcomes.is_empty(), &result)?;
+        report(
+            arguments,
+            interrupted && result.outcomes.is_empty(),
+            &result,
+        )?;
         (interrupted, unsolved(&result.outcomes))
     };
     match unsolved {
@@ -191,10 +199,10 @@ fn run(arguments: &Arguments) -> Result<u8, Failure> {
 /// Writes a result as JSON if that is asked for, and prints it, unless Ctrl-C came before anything was measured.
 fn report(
     arguments: &Arguments,
-    is_empty: bool,
+    nothing_measured: bool,
     result: &(impl Display + Serialize),
 ) -> Result<(), Failure> {
-    if is_empty {
+    if nothing_measured {
         eprintln!("egp-load: interrupted before the measurement began");
         return Ok(());
     }

@@ -69,7 +69,7 @@ pub(crate) struct Ramp {
     /// Vehicles of the fastest rate that held; absent if none did, or none was asked for. If it is the last rate, the knee
     /// is beyond it.
     knee_vehicles: Option<usize>,
-    /// Whether Ctrl-C ended the measurement, so that the last rate is incomplete.
+    /// Whether Ctrl-C ended the measurement. The last rate is then incomplete if it was interrupted after its warm-up.
     pub(crate) interrupted: bool,
     pub(crate) rates: Vec<Rate>,
 }
@@ -168,7 +168,10 @@ impl fmt::Display for Ramp {
             )?;
         }
         if self.interrupted {
-            return write!(f, "interrupted: the last rate is incomplete");
+            return write!(
+                f,
+                "interrupted: no further rate was measured, and the last one may be incomplete"
+            );
         }
         match (self.hold, self.knee_vehicles) {
             (None, _) => write!(f, "one rate was measured; --ramp 0.99 looks for the knee"),

@@ -104,7 +104,7 @@ impl StepTraces {
         self.answered(at, id, || Answer::Nothing);
     }
 
-    /// The open period is given up without a command: its questions have no spans, and none of a later period either.
+    /// Gives up the open period, which has no command. No span is written for its questions, also not with a later period.
     pub fn abandon(&mut self) {
         self.asked.clear();
     }

@@ -9,7 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 from egp_service._core.path import Path, SpeedProfile
 from egp_service._core.vehicle import VehicleParameters
 
-FRICTION_HYPOTHESES: tuple[float, ...]  # those of a `log_likelihood`, increasing
+FRICTION_HYPOTHESES: tuple[float, ...]
+"""Friction coefficients to which the elements of a `log_likelihood` belong, increasing."""
 
 @final
 class RoadBelief:
@@ -18,7 +19,7 @@ class RoadBelief:
     From cell to cell the friction stays or, on average every `change_distance` m (default 200), is
     drawn anew from a uniform distribution over 0.1 to 1.3. The vehicle cannot react to what
     lies less than `commitment` m (45) ahead: with the probability of a change within this distance
-    plans take each place for part of a patch, of which only what was measured within 8 m is known.
+    plans assume that a place is on a patch, about which only evidence measured within 8 m counts.
     `capacity` is the largest logarithm of a likelihood ratio that a cell keeps (6 nats), `window`
     the number of transitions from which a step estimates the friction (25), and `indifference` the
     logarithm of a likelihood ratio up to which a window does not tell coefficients apart (0.25
@@ -44,11 +45,11 @@ class RoadBelief:
     def window(self) -> int:
         """Number of transitions from which a step estimates the friction, 1 to 1000.
 
-        It has to be `history` of the controller whose steps are used. Setting another one forgets
-        where the vehicle was.
+        It has to be `history` of the controller whose steps are used. Setting a different number
+        forgets where the vehicle was.
 
         Raises:
-            InvalidArgumentError: if it is set to another number.
+            InvalidArgumentError: unless it is set to a number from 1 to 1000.
 
         """
     @window.setter

@@ -62,8 +62,8 @@ class Plant:
         call searches the whole path.
 
         Raises:
-            InvalidArgumentError: for an input, a period, a surface or a hint that is not finite or
-                out of range; the state is then unchanged.
+            InvalidArgumentError: for a surface that is unknown, and for an input, a period, a
+                surface or a hint that is not finite or out of range; the state is then unchanged.
             TypeError: for what is neither a surface nor a path.
             VehicleLostError: if the vehicle has spun; the state is then unchanged.
 

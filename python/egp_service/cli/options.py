@@ -61,7 +61,8 @@ def check_writable(*files: Path | None) -> None:
 
     Raises:
         EgpError: naming the file.
-        OSError: naming the file, if it is a pipe, a socket or a device.
+        OSError: naming the file, if it is a pipe, a socket or a device, or cannot be looked up, as
+            below another file or behind links that lead to each other.
 
     """
     for file in files:

@@ -18,7 +18,7 @@ import numpy as np
 from egp_service._core import EgpError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
 
     from numpy.typing import NDArray
 
@@ -58,7 +58,7 @@ _LEAST_ACCELERATION_SHARE: Final = 0.03
 _HEAVIEST: Final = 4000.0  # kg, for a force of a vehicle whose mass is not known
 _STUCK: Final = 5.0  # s
 _GAP: Final = 3.0  # median periods; what lies on both sides of a longer step is not compared
-_MOVING: Final = 3.0  # m/s
+MOVING: Final = 3.0  # m/s
 _ROLLING: Final = 1.0  # m/s
 # Bounds of the wheelbase in m if it is not known, and as multiples of a known one.
 _WHEELBASES: Final = (1.0, 7.0)
@@ -172,10 +172,9 @@ def _check_stuck(log: Log, columns: Mapping[str, Column], mass: float | None) ->
     about = {**log, "a_x": _acceleration(log, mass)}
     for quantity in ("v_x", "v_y", "omega", "delta", *(("a_x",) if "a_x" in log else ())):
         values = log[quantity]
-        starts = np.concatenate(([0], np.flatnonzero(np.diff(values) != 0.0) + 1, [len(values)]))
-        for first, last in itertools.pairwise(starts):
+        for first, last in runs(values):
             duration = recorded[last - 1] - recorded[first]
-            if duration < _STUCK or np.median(log["v_x"][first:last]) <= _MOVING:
+            if duration < _STUCK or np.median(log["v_x"][first:last]) <= MOVING:
                 continue
             ends = [first, *(first + 1 + np.flatnonzero(gaps[first : last - 1])), last]
             pieces = (slice(*piece) for piece in itertools.pairwise(ends))
@@ -185,6 +184,12 @@ def _check_stuck(log: Log, columns: Mapping[str, Column], mass: float | None) ->
                     f"{first} to {last - 1}, {duration:.0f} s, while the vehicle moves: the sensor "
                     "was probably stuck; remove these rows"
                 )
+
+
+def runs(values: NDArray[np.float64]) -> Iterator[tuple[int, int]]:
+    """Give the first row, and that behind the last one, of each run of equal values."""
+    starts = np.concatenate(([0], np.flatnonzero(np.diff(values) != 0.0) + 1, [len(values)]))
+    return itertools.pairwise(starts.tolist())
 
 
 def _moves(quantity: str, log: Log) -> bool:
@@ -234,7 +239,7 @@ def _speed_change(time: NDArray[np.float64], acceleration: NDArray[np.float64]) 
 def _check_turning(log: Log, columns: Mapping[str, Column], wheelbase: float | None) -> None:
     """Check all rows, and then those of gentle turns, where a sliding vehicle does not hide it."""
     low, high = _WHEELBASES if wheelbase is None else (_KNOWN[0] * wheelbase, _KNOWN[1] * wheelbase)
-    moving = log["v_x"] > _MOVING
+    moving = log["v_x"] > MOVING
     for rows in (moving, _gentle(log, moving)):
         _check_turning_rows(log, columns, rows, low, high)
     _check_wheelbase(log, columns, _gentle(log, log["v_x"] > _ROLLING), low, high)
@@ -327,7 +332,7 @@ def _check_accelerating(log: Log, columns: Mapping[str, Column], mass: float | N
     change = (log["v_x"][rows:] - log["v_x"][:-rows]) / (rows * period)
     change -= (log["v_y"] * log["omega"])[rows // 2 : rows // 2 + len(change)]
     piece = np.concatenate([[0], np.cumsum(_after_gap(log["time"]))])
-    moving = (log["v_x"][rows:] > _MOVING) & (log["v_x"][:-rows] > _MOVING)
+    moving = (log["v_x"][rows:] > MOVING) & (log["v_x"][:-rows] > MOVING)
     moving &= piece[rows:] == piece[:-rows]
     piece = np.where(moving, piece[rows:], -1)
     lagging = (_later(mean, change, piece, round(lag / period)) for lag in _LAGS)

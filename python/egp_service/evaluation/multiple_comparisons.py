@@ -17,8 +17,9 @@ LEVEL: Final = 0.05
 def positive(gains: Sequence[float]) -> float:
     """Return the p-value of Wilcoxon's signed-rank test that `gains` are symmetric about zero.
 
-    The alternative is that they are positive. Differences of zero are left out; without any other
-    difference the value is 1. The smallest value for `n` gains is `2**-n`.
+    The alternative is that they are positive. Differences of zero are left out; without any
+    other difference the value is 1. Without ties the smallest value for `n` gains, up to 50, is
+    `2**-n`; otherwise scipy uses a normal approximation from 14 gains on.
     """
     if not np.any(gains):
         return 1.0

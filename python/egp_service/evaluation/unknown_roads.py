@@ -112,12 +112,13 @@ def _believed(risk: float) -> dict[str, object]:
 def frontier_gap(outcomes: Sequence[Outcome], source: str) -> tuple[float, str] | None:
     """Return how many more first laps the belief completes than a `source` in equal time, at worst.
 
-    `source` is `ASSUMED` or `HERE`. A variant of the source takes the median of the ratios of its
-    lap time to that of a setting of the belief, over the seeds that both completed, so that a
-    setting gains nothing from not completing slow roads. The completions of the variants, of which
-    a slower one is never the worse choice, are interpolated over these ratios at 1. A setting that
-    completes no run is compared with the best variant, and one that is faster than all variants is
-    left out. Also returns the name of the worst setting. None if nothing can be compared.
+    `source` is `ASSUMED` or `HERE`. A variant of the source takes the median of the ratios of
+    its lap time to that of a setting of the belief, over the seeds that both completed, so that
+    a setting gains nothing from not completing slow roads. The completions of the variants, of
+    which a slower one is never the worse choice, are interpolated over these ratios at 1. A
+    setting that completes no run is compared with the best variant, and one that is faster than
+    all variants, or has completed no road that a variant completed, is left out. Also returns
+    the name of the worst setting. None if nothing can be compared.
     """
     times: dict[str, dict[int, float]] = {}
     for o in outcomes:

@@ -144,8 +144,8 @@ def tight_place(scenario: Scenario) -> str | None:
     advice = "smooth the points of its file" if scenario.track.file else "make the track larger"
     return (
         f"The path turns with a radius of {1.0 / curvature[tightest]:.2f} m at s = "
-        f"{s[tightest]:.1f} m, and the smallest that the vehicle steers is {smallest:.2f} m: "
-        f"{advice}. The car cannot follow the path there"
+        f"{s[tightest]:.1f} m, where the car cannot follow it, because the smallest radius that "
+        f"the vehicle steers is {smallest:.2f} m: {advice}"
     )
 
 

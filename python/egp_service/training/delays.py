@@ -66,7 +66,8 @@ def find_delays(
     measures all states. Only runs of at least 2 s count, and delays that leave enough of them.
     `vehicle` is what is known about the car.
 
-    The delay of the states is not searched if no vehicle may be fitted; a warning then says so.
+    With `may_fit=False` no vehicle is fitted: the delay of the states is then 0, and a warning says
+    that it was not searched.
 
     A first-order filter of the force (0.1 to 6.4 s, with a delay of at most two periods) is
     identified if it predicts the changes of `v_x` over 1 s better than any delay without a filter,
@@ -99,7 +100,9 @@ def find_delays(
             "the delay of the measured states is not searched, because this needs the fit of a "
             "vehicle, which training with a constant mean does without"
         )
-        return Delays(0.0, round(force, 4), round(of_inputs.force_filter, 4))
+        return dataclasses.replace(
+            of_inputs, force=round(force, 4), force_filter=round(of_inputs.force_filter, 4)
+        )
 
     @functools.cache
     def split_of_states(delay: float) -> list[tuple[Dataset, Dataset]]:

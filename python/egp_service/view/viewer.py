@@ -49,7 +49,7 @@ def save(run: RecordedRun, name: str, path: Path) -> None:
         recording.send_blueprint(layout(run), make_active=False)
         recording.send_recording_name(name)
         log_run(recording, run)
-        # A full disk is no error of the file that Rerun writes itself: it is then cut off.
+        # Rerun reports no error if a full disk cuts off a file that it writes itself.
         beside.write_bytes(written.drain_as_bytes())
         recording.disconnect()
 

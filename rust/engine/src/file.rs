@@ -62,9 +62,10 @@ impl Replacement {
     ///
     /// # Errors
     /// As [`replace_file`].
-    pub fn replace(mut self) -> io::Result<()> {
-        self.put_in_place()?;
-        sync_folder(&self.path)
+    pub fn replace(self) -> io::Result<()> {
+        let path = self.path.clone();
+        self.rename()?;
+        sync_folder(&path)
     }
 
     /// Replaces the file, but does not write the folder's entry to the disk, which is left to [`sync_folder`].
@@ -72,10 +73,6 @@ impl Replacement {
     /// # Errors
     /// [`io::Error`] if the system refuses it; the path then has the old bytes.
     pub fn rename(mut self) -> io::Result<()> {
-        self.put_in_place()
-    }
-
-    fn put_in_place(&mut self) -> io::Result<()> {
         if let Some(beside) = &self.beside {
             fs::rename(beside, &self.path)?;
         }

@@ -83,7 +83,8 @@ fn at_other_mass(error: &WiderError) -> String {
         return String::new();
     }
     let (unit, most) = (error.unit, error.planned * (mass / planned_mass));
-    let most = (1e3 * most).round() / 1e3; // without the digits of rounding
+    // Nine significant digits leave out those of rounding, and are far within `ROUNDING`.
+    let most = format!("{most:.8e}").parse().unwrap_or(most);
     format!(" at {planned_mass} kg, which is {most} {unit} at the gate's mass of {mass} kg")
 }
 

@@ -26,6 +26,7 @@ pub struct Path {
     /// `[left, right]` at each knot.
     widths: Option<Vec<[f64; 2]>>,
     zones: Vec<Zone>,
+    /// [`Self::curve`].
     curve: u64,
 }
 
@@ -161,7 +162,8 @@ impl Path {
         self.closed
     }
 
-    /// A number that tells this curve from others: a hash of its knots, which does not depend on widths and zones of friction.
+    /// A hash of the curve, which does not depend on widths and zones of friction. Paths with different curves have different
+    /// hashes, but for a collision of 64 bits.
     pub(crate) fn curve(&self) -> u64 {
         self.curve
     }
@@ -309,17 +311,12 @@ impl Path {
     }
 }
 
-/// [`Path::curve`] of a spline. Its knots determine it; the last piece has the end of an open one.
+/// [`Path::curve`] of a spline.
 fn identity(closed: bool, step: f64, pieces: &[Piece]) -> u64 {
     let mut hasher = DefaultHasher::new(); // has no seed
     (closed, step.to_bits(), pieces.len()).hash(&mut hasher);
-    let starts = pieces.iter().map(Piece::start);
-    let end = pieces
-        .last()
-        .into_iter()
-        .map(|last| last.jet(step).position);
-    for coordinate in starts.chain(end).flatten() {
-        coordinate.to_bits().hash(&mut hasher);
+    for coefficient in pieces.iter().flat_map(Piece::coefficients).flatten() {
+        coefficient.to_bits().hash(&mut hasher);
     }
     hasher.finish()
 }

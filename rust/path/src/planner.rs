@@ -39,7 +39,7 @@ impl SpeedPlanner {
         if let Some(value) = limits.start_speed {
             return Err(PathError::Parameter {
                 name: "start_speed",
-                expected: "nothing for plans, which begin at the vehicle",
+                expected: "no value (a plan begins at the vehicle)",
                 value,
             });
         }

@@ -208,9 +208,9 @@ where
     })
 }
 
-/// A time of the driver's clock, or a part of a period, in s.
+/// Converts a time of the driver's clock, or a part of a period, in s. Errors unless it is from 0 to 1e19 s.
 pub fn time(seconds: f64) -> PyResult<Duration> {
-    let reason = || format!("expected a time in s from 0 on, got {seconds}");
+    let reason = || format!("expected a time from 0 to 1e19 s, got {seconds}");
     Duration::try_from_secs_f64(seconds).map_err(|_| InvalidArgumentError::new_err(reason()))
 }
 
@@ -303,10 +303,13 @@ impl Driver {
         Ok(())
     }
 
-    /// Give an open period up because an exception ends the step. The next request has no history.
+    /// Give an open period up because an exception ends the step. The next request has no history, and the
+    /// spans of the period are not written.
     fn abandon(&mut self) {
         self.0.abandon();
-        (self.1.iter_mut()).for_each(|traces| traces.steps.abandon());
+        if let Some(traces) = &mut self.1 {
+            traces.steps.abandon();
+        }
     }
 
     /// When `wake` is due, on the driver's clock; infinite while no period is open.
@@ -395,6 +398,8 @@ impl Driver {
     /// Leave STOP and forget history, weights, plan and outstanding requests.
     fn reset(&mut self) {
         self.0.reset();
-        (self.1.iter_mut()).for_each(|traces| traces.steps.abandon());
+        if let Some(traces) = &mut self.1 {
+            traces.steps.abandon();
+        }
     }
 }

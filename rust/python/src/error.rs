@@ -50,7 +50,7 @@ pub fn system_text(error: &io::Error) -> String {
 }
 
 /// The error about an object of another type than the argument `name` may have. It shows the object's `repr`, or its type if
-/// that is long or cannot be had.
+/// the `repr` is longer than 60 characters, has several lines or raises an exception.
 pub fn wrong_type(name: &str, expected: &str, object: Borrowed<'_, '_, PyAny>) -> PyErr {
     /// More characters would hide the rest of the message.
     const MOST: usize = 60;

@@ -16,44 +16,24 @@ pub enum Failure {
     File(library::LibraryError, PathBuf),
     /// An error of the file system.
     Io {
-        code: ErrorCode,
+        code: i32,
         message: String,
         path: PathBuf,
     },
 }
 
-/// The number of an error of the system, or the name of one in Python's module `errno`.
-pub enum ErrorCode {
-    Number(i32),
-    Name(&'static str),
-}
-
 /// An error of the file system about `path`.
 pub fn os_error(error: &io::Error, path: &Path) -> Failure {
     // Errors of our own checks have no number.
-    let code = if let Some(number) = error.raw_os_error() {
-        ErrorCode::Number(number)
-    } else if path.is_dir() {
-        ErrorCode::Name("EISDIR")
-    } else if error.kind() == io::ErrorKind::InvalidInput {
-        ErrorCode::Name("EINVAL")
-    } else {
-        ErrorCode::Name("EIO")
-    };
+    let code = error.raw_os_error().unwrap_or_else(|| match error.kind() {
+        _ if path.is_dir() => libc::EISDIR,
+        io::ErrorKind::InvalidInput => libc::EINVAL,
+        _ => libc::EIO,
+    });
     Failure::Io {
         code,
         message: system_text(error),
         path: path.to_owned(),
-    }
-}
-
-impl ErrorCode {
-    /// The number.
-    fn number(self, py: Python<'_>) -> PyResult<i32> {
-        match self {
-            Self::Number(number) => Ok(number),
-            Self::Name(name) => py.import("errno")?.getattr(name)?.extract(),
-        }
     }
 }
 
@@ -77,11 +57,8 @@ impl Failure {
                 code,
                 message,
                 path,
-            } => match code.number(py) {
                 // With three arguments Python chooses the subclass, such as FileNotFoundError, by the number.
-                Ok(number) => PyOSError::new_err((number, message, path.into_os_string())),
-                Err(error) => error,
-            },
+            } => PyOSError::new_err((code, message, path.into_os_string())),
         }
     }
 }

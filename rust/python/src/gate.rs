@@ -85,7 +85,8 @@ impl Gate {
     }
 
     /// Store a plan of (T, 2) inputs whose first one is meant for period `tick`. Raises `InvalidArgumentError` for a plan that
-    /// is none, and `EgpError` if the gate has stopped the vehicle or has a newer plan.
+    /// is empty, has too many inputs or has one that is not finite, and `EgpError` if the gate has stopped the vehicle or holds a
+    /// plan for a later period.
     fn accept(&mut self, tick: u64, plan_u: Vec<[f64; 2]>) -> PyResult<()> {
         self.0.accept(tick, &plan_u).map_err(|error| match error {
             GateError::Stale { .. } | GateError::Stopped => raise(error),

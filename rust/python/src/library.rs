@@ -24,7 +24,7 @@ type Prediction<'py> = (NewMatrix<'py>, NewCube<'py>, NewMatrix<'py>);
 #[pyclass(module = "egp_service._core", frozen)]
 pub struct Library {
     pub inner: egp_core::Library,
-    /// The file's, of which pickle makes the library again. They are a small part of what the factors take.
+    /// The bytes of the file, from which pickle makes the library again. They take much less memory than the factors.
     bytes: Py<PyBytes>,
 }
 
@@ -143,7 +143,7 @@ impl Library {
             .collect()
     }
 
-    /// A member, of which pickle makes a member of the same library.
+    /// The member with this index. Pickle calls this to make a member again.
     #[pyo3(name = "_member")]
     fn member_at(slf: &Bound<'_, Self>, index: usize) -> PyResult<Member> {
         slf.get().member(index)?;

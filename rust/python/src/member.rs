@@ -152,7 +152,7 @@ impl Member {
         vector(py, self.get().noise_std().iter().copied())
     }
 
-    /// Library and index, of which pickle makes the member again.
+    /// The method and the index with which pickle makes the member again from its library.
     fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, (usize,))> {
         let library = self.library.bind(py);
         Ok((library.getattr("_member")?, (self.index,)))

@@ -207,7 +207,7 @@ pub fn solve_weights<'py>(
     let predictions: Vec<f64> = predictions.as_array().iter().copied().collect();
     let mut numbers = predictions.iter().chain(measured.as_flattened());
     let sum: f64 = previous.iter().sum();
-    // The squares of the standard deviations are finite, and those of the noise are not zero.
+    // Within these bounds the squares of the standard deviations are finite, and those of `noise_std` are not zero.
     for (valid, expected) in [
         (
             numbers.all(|v| v.is_finite()),

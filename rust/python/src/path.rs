@@ -11,7 +11,6 @@ use egp_path::tracks::{
 };
 use egp_path::{PathError, PathParts, Zone};
 use pyo3::prelude::*;
-
 use pyo3::types::PyType;
 
 use crate::array::{Cube, Matrix, NewCube, NewMatrix, NewVector, Vector};
@@ -249,7 +248,7 @@ impl Path {
         ))
     }
 
-    /// The numbers that the path consists of, of which pickle makes the same path again, bit for bit.
+    /// The numbers that the path consists of, from which pickle makes the same path again, bit for bit.
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyAny>, Parts<'py>)> {
         let py = slf.py();
         let parts = slf.get().0.parts();
@@ -273,7 +272,7 @@ impl Path {
         Ok((slf.get_type().getattr("_restore")?, parts))
     }
 
-    /// The path of the numbers of `__reduce__`. Raises `InvalidArgumentError` if they are none of a path.
+    /// The path of the numbers of `__reduce__`. Raises `InvalidArgumentError` if no path consists of these numbers.
     #[classmethod]
     fn _restore(
         _cls: &Bound<'_, PyType>,

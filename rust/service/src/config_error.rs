@@ -50,10 +50,11 @@ impl From<toml::de::Error> for ConfigError {
     }
 }
 
-/// Characters of a quoted line that are shown, and those of them before the place at fault.
+/// Largest number of characters of a quoted line that are shown.
 const SHOWN: usize = 100;
+/// Number of these characters that are before the place at fault.
 const BEFORE: usize = 40;
-/// Characters of a line of the explanation that are shown. The keys that a section may have fit in.
+/// Largest number of characters of a line of the explanation that are shown. A list of all keys of a section is shorter.
 const EXPLAINED: usize = 2000;
 
 /// The text of an error about TOML with its long lines cut. The parser quotes a whole line of the file as `3 | TEXT`, and

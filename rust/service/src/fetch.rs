@@ -179,7 +179,7 @@ impl Fetching<'_> {
         let end = Instant::now() + time;
         while Instant::now() < end {
             self.look()?;
-            thread::sleep(POLL.min(time));
+            thread::sleep(POLL);
         }
         Ok(())
     }

@@ -82,7 +82,7 @@ impl FetchFailure {
 
 /// Why no library was fetched. The files of the library and of its signature are as before, except in two cases of
 /// [`FetchError::Write`]: both are new if only the writing of the folder's entries to the disk failed, and the signature alone
-/// is new if the system refused to replace the library and then to put the earlier signature back, which the message says.
+/// is new, or removed, if the system refused to replace the library and then to put the earlier signature back, which the message says.
 #[derive(Debug, Error)]
 pub enum FetchError {
     /// An operation of zenoh that failed.
@@ -144,18 +144,17 @@ const TOLD: usize = 16;
 pub(crate) struct Failures {
     /// At most [`TOLD`], each with its replica if the answer stated one.
     told: Vec<(Option<Name>, FetchFailure)>,
-    /// The replicas whose failures another question would not change.
+    /// The replicas that sent what cannot be used, and are not asked for parts again.
     given_up: BTreeSet<Name>,
 }
 
 impl Failures {
     /// Takes note of a failure. A later failure of the same replica replaces the earlier one.
     pub(crate) fn note(&mut self, replica: Option<Name>, failure: FetchFailure) {
-        let again = matches!(
-            failure,
-            FetchFailure::Gone { .. } | FetchFailure::Refused(_)
-        );
-        if let Some(replica) = replica.as_ref().filter(|_| !again) {
+        // A replica that refuses may load the library later.
+        let refused = matches!(failure, FetchFailure::Refused(_));
+        let is_given_up = failure.is_final() && !refused;
+        if let Some(replica) = replica.as_ref().filter(|_| is_given_up) {
             self.given_up.insert(replica.clone());
         }
         let text = failure.to_string();
@@ -167,7 +166,7 @@ impl Failures {
         }
     }
 
-    /// Whether the replica failed in a way that asking it again does not change.
+    /// Whether the replica sent what cannot be used.
     pub(crate) fn is_given_up(&self, replica: &Name) -> bool {
         self.given_up.contains(replica)
     }

@@ -15,8 +15,9 @@ use crate::network::Surroundings;
 /// Longest time between two looks at the links.
 pub(crate) const LOOK: Duration = Duration::from_millis(500);
 
-/// Time without a link after which a service warns that nobody answers where it connects, and between two such warnings.
+/// Time without a link after which a service warns that nobody answers where it connects.
 const FIRST: Duration = Duration::from_secs(5);
+/// Time between two such warnings.
 const AGAIN: Duration = Duration::from_secs(300);
 
 /// The links of a service, as they were when they were last counted.

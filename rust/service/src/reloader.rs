@@ -32,8 +32,8 @@ pub(crate) struct Stamp {
 pub(crate) struct Reloader {
     libraries: Arc<Libraries>,
     watch: Option<Duration>,
-    /// What else is read again on command, before the library.
-    keys: Option<Box<dyn Fn() + Send>>,
+    /// Reads the keys of the vehicles again; it is called on each command, before the library is loaded.
+    read_keys: Option<Box<dyn Fn() + Send>>,
     /// The file as it was loaded last.
     stamp: Option<Stamp>,
     /// The last loading, if it failed.
@@ -70,15 +70,15 @@ impl Reloader {
         Self {
             libraries,
             watch,
-            keys: None,
+            read_keys: None,
             stamp,
             failed: None,
         }
     }
 
-    /// Calls `read` on each command, before the library is loaded. The thread that commands does not wait for a file.
-    pub(crate) fn with_keys(mut self, read: impl Fn() + Send + 'static) -> Self {
-        self.keys = Some(Box::new(read));
+    /// Calls `read_keys` on each command, before the library is loaded, so that the thread that commands waits for no file.
+    pub(crate) fn with_keys(mut self, read_keys: impl Fn() + Send + 'static) -> Self {
+        self.read_keys = Some(Box::new(read_keys));
         self
     }
 
@@ -108,7 +108,7 @@ impl Reloader {
                     // A change during the loading is seen at the next look.
                     self.stamp = now;
                     let reloaded = catch_unwind(AssertUnwindSafe(|| {
-                        if let Some(read) = self.keys.as_ref().filter(|_| commanded) {
+                        if let Some(read) = self.read_keys.as_ref().filter(|_| commanded) {
                             read();
                         }
                         reload(&self.libraries)

@@ -170,6 +170,7 @@ impl Server {
         };
         running.reload()
     }
+
     /// Withdraws the announcement, serves new requests for a moment longer, finishes those that wait, and closes.
     ///
     /// A client that asks meanwhile gets an answer or an error.

@@ -153,6 +153,8 @@ pub(crate) fn check_replaceable(library: &Path) -> Result<(), Unwritten> {
 pub(crate) struct NewLibrary {
     file: PathBuf,
     library: Replacement,
+    /// The file of the signature, to which the path beside the library may lead as a link.
+    signature_file: PathBuf,
     /// The file of the new signature; none if the library has none, and no file may then be beside it.
     signature: Option<Replacement>,
     /// The file of the signature as it is now; none if there is none.
@@ -169,17 +171,20 @@ impl NewLibrary {
         bytes: &[u8],
         signature: Option<Signature>,
     ) -> Result<Self, Unwritten> {
-        let beside = signature_path(file);
+        let named = signature_path(file);
+        let beside = replaceable(&named).map_err(unwritten(&named))?;
         let library = Replacement::write(file, bytes).map_err(unwritten(file))?;
         let write = |bytes: &[u8]| Replacement::write(&beside, bytes).map_err(unwritten(&beside));
         let line = signature.map(|signature| format!("{}\n", library::hex(&signature)));
         let signature = line.map(|line| write(line.as_bytes())).transpose()?;
         let before = present(&beside).map_err(unwritten(&beside))?;
+        let before = before.map(|bytes| write(&bytes)).transpose()?;
         Ok(Self {
             file: file.to_owned(),
             library,
+            signature_file: beside,
             signature,
-            before: before.map(|bytes| write(&bytes)).transpose()?,
+            before,
         })
     }
 
@@ -190,7 +195,7 @@ impl NewLibrary {
     /// disk, or the error says that the signature of before could not be put back. A process that is killed between the two
     /// replacements leaves the old library with the new signature, too.
     pub(crate) fn replace(self) -> Result<(), Unwritten> {
-        let beside = signature_path(&self.file);
+        let beside = self.signature_file;
         let is_signed = self.signature.is_some();
         let changed = match (self.signature, &self.before) {
             (Some(signature), _) => signature.rename(),
@@ -331,6 +336,27 @@ mod tests {
                 assert_eq!(contents(&file), (b"old".to_vec(), before.map(Vec::from)));
                 let files = 1 + usize::from(before.is_some());
                 assert_eq!(fs::read_dir(&folder).unwrap().count(), files);
+                fs::remove_dir_all(&folder).unwrap();
+            }
+        }
+    }
+
+    #[test]
+    fn a_signature_behind_a_link_is_put_back_behind_the_link() {
+        for before in [None, Some(OLD)] {
+            for new in [None, Some([7; 64])] {
+                let (folder, file) = folder("linked", None);
+                let target = folder.join("signatures");
+                if let Some(bytes) = before {
+                    fs::write(&target, bytes).unwrap();
+                }
+                std::os::unix::fs::symlink(&target, signature_path(&file)).unwrap();
+                let written = NewLibrary::write(&file, b"new", new).unwrap();
+                fs::remove_file(&file).unwrap();
+                fs::create_dir(&file).unwrap();
+                assert!(written.replace().is_err());
+                assert_eq!(fs::read(&target).ok(), before.map(Vec::from));
+                assert!(fs::read_link(signature_path(&file)).is_ok());
                 fs::remove_dir_all(&folder).unwrap();
             }
         }

@@ -43,7 +43,7 @@ pub const DEFAULTS: [(&str, &str); 4] = [
 /// JSON5 value.
 ///
 /// # Errors
-/// [`NetworkError`] naming the file or the key that zenoh does not accept.
+/// [`NetworkError`] naming the file if it is no regular file or too large, or the file or the key that zenoh does not accept.
 pub fn configuration<'a>(
     file: Option<&Path>,
     more: &'a [(&'a str, &'a str)],
@@ -65,10 +65,10 @@ pub fn configuration<'a>(
     Ok(config)
 }
 
-/// Checks that a file can be read to its end, which zenoh does without a limit.
+/// Checks that zenoh may read a file: it waits for the writer of a pipe, and reads a device without end.
 ///
 /// # Errors
-/// Why it cannot.
+/// What is at the path in place of a file of at most 16 MiB.
 fn check_file(path: &Path) -> Result<(), String> {
     const MOST: u64 = 16 << 20;
     let found = std::fs::metadata(path).map_err(|error| error.to_string())?;

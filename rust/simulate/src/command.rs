@@ -168,14 +168,14 @@ fn hunt(
     config: impl Fn(u64) -> Config,
 ) -> Result<Hunt, SimulationError> {
     let interrupt = Interrupt::watch()?;
-    let (mut run_seeds, mut sound, mut total) = (0, true, Run::default());
+    let (mut done, mut sound, mut total) = (0, true, Run::default());
     let (count, terminal) = (seeds.clone().count(), std::io::stderr().is_terminal());
-    for (done, seed) in seeds.enumerate() {
+    for seed in seeds {
         if interrupt.came() {
             break;
         }
         let run = repeat(scene, &config(seed))?;
-        run_seeds += 1;
+        done += 1;
         if !run.violations.is_empty() {
             sound = false;
             if !report(seed, &run)? {
@@ -186,12 +186,8 @@ fn hunt(
         total.replied += run.replied;
         total.faults += run.faults;
         if terminal {
-            let filled = 40 * (done + 1) / count;
-            eprint!(
-                "\r[{:40}] {} of {count} seeds",
-                "#".repeat(filled),
-                done + 1
-            );
+            let filled = 40 * done / count;
+            eprint!("\r[{:40}] {} of {count} seeds", "#".repeat(filled), done);
             // A bar that cannot be drawn is no reason to stop.
             let _ = std::io::stderr().flush();
         }
@@ -200,9 +196,9 @@ fn hunt(
         eprintln!();
     }
     Ok(Hunt {
-        seeds: run_seeds,
+        seeds: done,
         sound,
-        interrupted: interrupt.came() && run_seeds < count,
+        interrupted: interrupt.came() && done < count,
         total,
     })
 }

@@ -32,7 +32,7 @@ impl Counts {
         self.0.failed.load(Ordering::Acquire)
     }
 
-    /// Why the last spans that could not be written were not, as the system says it; none if all could.
+    /// The system's error about the last spans that could not be written; none if all were written.
     pub fn last_error(&self) -> Option<String> {
         let error = self.0.error.lock();
         error.unwrap_or_else(PoisonError::into_inner).clone()
@@ -41,7 +41,7 @@ impl Counts {
     /// Takes note of spans that could not be written.
     pub(crate) fn fail(&self, spans: u64, error: String) {
         *self.0.error.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
-        // The number comes last, so that who sees it finds the reason.
+        // The number is changed last, so that a thread that sees the new number also finds the reason.
         self.0.failed.fetch_add(spans, Ordering::Release);
     }
 }

@@ -79,7 +79,7 @@ pub struct RoadTile {
 pub struct RoadTiles {
     /// At most [`TILES_AT_ONCE`].
     pub tiles: Vec<RoadTile>,
-    /// Whether there are tiles behind the last one.
+    /// Whether there are tiles behind the last one. The last one may then be without evidence and origins.
     pub more: bool,
 }
 

@@ -28,7 +28,7 @@ impl Interrupt {
     /// The exit status of a program that Ctrl-C ended.
     pub const STATUS: u8 = 130;
 
-    /// Waits for Ctrl-C from now on.
+    /// Takes note of Ctrl-C from now on.
     ///
     /// # Errors
     /// [`io::Error`] if the system does not let the process catch the signal.

@@ -102,7 +102,7 @@ def train(
     from egp_service.training.train import TrainingSettings
     from egp_service.training.train import train as train_members
     from egp_service.training.validation import validate
-    from egp_service.vehicle import check_limits, known_vehicle, read_vehicle
+    from egp_service.vehicle import known_vehicle, read_vehicle
 
     console = Console()
     # These checks come before the minutes that training takes: files that cannot be written, a
@@ -150,9 +150,7 @@ def train(
             seed=seed,
         )
         datasets = [Dataset.read(path) for path in data or []]
-        if car is not None:
-            check_limits(car, str(vehicle))
-        else:
+        if car is None:
             known_vehicle(datasets[0].provenance.vehicle)
         with fitting(console) as report:
             members = train_members(datasets, settings, report, vehicle=car)

@@ -13,12 +13,12 @@ pub(super) type Square = SMatrix<f64, NY, NY>;
 ///
 /// The measured state is `x + n` with noise `n` of variance `R`, and the change of the state is `f(x) + v` with the model's
 /// error `v` of variance `Q`. The noise of a measured state thus is in the measured change and, if the prediction is made at
-/// the measured state, in the prediction, too: at 10 m/s the tyre forces of a passenger car reduce a lateral speed by 40 % within
-/// 20 ms. The fitted vehicles are therefore evaluated at an estimated state; what the Gaussian processes add is taken at the measured
-/// one, and `F` leaves it out. With the deviation `d` of the state that a model estimates
-/// from the measured one, the deviation `d_0` of the state at which all vehicles are evaluated, the error `e` of the prediction there,
-/// and its Jacobian `F`, one step of the extended Kalman filter (Anderson and Moore, *Optimal Filtering*, 1979, section 8.2) has
-/// the innovation
+/// the measured state, in the prediction, too: at 10 m/s the tyre forces of a passenger car reduce a lateral speed by 40 %
+/// within 20 ms. The fitted vehicles are therefore evaluated at an estimated state; what the Gaussian processes add is taken
+/// at the measured one, and `F` leaves it out. With the deviation `d` of the state that a model estimates from the measured
+/// one, the deviation `d_0` of the state at which all vehicles are evaluated, the error `e` of the prediction there, and its
+/// Jacobian `F`, one step of the extended Kalman filter (Anderson and Moore, *Optimal Filtering*, 1979, section 8.2) has the
+/// innovation
 ///
 /// ```text
 /// nu = e - d - F (d - d_0),    S = (I + F) P (I + F)ᵀ + Q + R,    K = (S - R) S⁻¹

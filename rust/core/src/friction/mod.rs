@@ -91,8 +91,8 @@ pub struct FrictionEstimator {
     of_members: Batch,
     /// Position of each point of the density, counted in hypotheses.
     positions: Vec<f64>,
-    /// What the Gaussian process of each member adds: its prediction less the change that its vehicle gives. That change, zero
-    /// without a vehicle, is written here first.
+    /// What the Gaussian process of each member with a vehicle adds: its prediction less the change that its vehicle gives, which
+    /// is written here first. The entries of members without a vehicle are not read.
     learned: Vec<GpOutput>,
     /// Change by the vehicle of each hypothesis and its Jacobian by `[v_x, v_y, omega]`; zero where there is none.
     changes: [(GpOutput, Square); HYPOTHESES],
@@ -157,7 +157,6 @@ impl FrictionEstimator {
         for ((z, row), y) in window.rev() {
             let mut z = GpInput::from(*z);
             let f = row.as_chunks().0;
-            self.learned.fill(GpOutput::zeros());
             self.of_members.changes(&z, &mut self.learned);
             for (learned, f) in self.learned.iter_mut().zip(f) {
                 *learned = GpOutput::from(*f) - *learned;

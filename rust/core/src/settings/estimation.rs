@@ -19,8 +19,8 @@ pub struct WeightSettings {
     /// change is the difference of two measured states, so that it contains the noise of both, and shares each with a
     /// neighbouring change; the members' own noise is added. Each window uses the most likely of 1, 0.3 and 0.1 times these
     /// values, with all or half of the members' noise ([`WindowNoise`](crate::weights::WindowNoise)). The estimator of the
-    /// friction uses the stated values. With `whiten = false` no other computation does. Default: the library's `measurement_noise`, and without that 0.03, 0.03, 0.005, what an inertial system
-    /// aided by satellites gives.
+    /// friction uses the stated values. With `whiten = false` no other computation does. Default: the library's
+    /// `measurement_noise`, and without that 0.03, 0.03, 0.005, what an inertial system aided by satellites gives.
     pub measurement: Option<[f64; NY]>,
     /// Prior on the change of the weights. Default quadratic with lambda 100.
     pub prior: Prior,

@@ -300,10 +300,10 @@ fn estimate_weights(
     used
 }
 
-/// Whether a transition of a vehicle with this mass (kg) lies outside the range of the vehicle models. At standstill the brakes
-/// hold the vehicle, which the models do not contain, unless its drive is at least [`LEAST_DRIVE`]. Below [`MIN_SLIP_SPEED`] the
-/// models compute a slip angle of `(1 - v_x / MIN_SLIP_SPEED) delta` that does not exist. Both look like very low friction to the
-/// estimator.
+/// Whether a transition of a vehicle with this mass (kg) lies outside the range of the vehicle models. A vehicle that stands
+/// with a drive below [`LEAST_DRIVE`] is held by its brakes, which the models do not contain. Below [`MIN_SLIP_SPEED`] the
+/// models compute a slip angle of `(1 - v_x / MIN_SLIP_SPEED) delta` that does not exist. Both look like very low friction to
+/// the estimator.
 fn is_outside_model(z: &[f64; NZ], mass: f64) -> bool {
     let [v_x, _, _, delta, force, _] = *z;
     let stands = v_x < STANDING && force < LEAST_DRIVE * mass;

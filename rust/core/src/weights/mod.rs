@@ -117,9 +117,9 @@ impl WeightEstimator {
     }
 
     /// Whether the last window distinguishes the members: the log-likelihood of the worst member is at least `INFORMED` nats
-    /// below that of the weights `w`. Likelihoods have the exponent `1 / (TEMPERATURE max(1, J / n))`, where `J` is the sum of the
-    /// `n` squared whitened errors under `w` (`docs/problem.md`, section 4). The last call of [`Self::estimate`] must have used whitened
-    /// errors, because log-likelihoods are compared.
+    /// below that of the weights `w`. Likelihoods have the exponent `1 / (TEMPERATURE max(1, J / n))`, where `J` is the sum
+    /// of the `n` squared whitened errors under `w` (`docs/problem.md`, section 4). The last call of [`Self::estimate`] must
+    /// have used whitened errors, because log-likelihoods are compared.
     pub fn informed(&self, w: &[f64]) -> bool {
         let n = w.len();
         let product = |i: usize, j: usize| self.whitened.products(i)[j];

@@ -147,6 +147,24 @@ fn the_limits_of_the_same_vehicle_with_another_load_fit_within_one_per_cent_of_i
 }
 
 #[test]
+fn the_limit_that_a_message_states_fits_a_small_vehicle_too() {
+    let mass = 2.525_113_15;
+    let planned = VehicleParameters {
+        mass,
+        ..VehicleParameters::FORD_ESCORT
+    };
+    let mut gate = Limits::of(&VehicleParameters {
+        mass: 1.009 * mass,
+        ..planned
+    });
+    gate.force_max *= 2.0;
+    let told = gate.check_within(&planned).unwrap_err().to_string();
+    let stated = told.split("which is ").nth(1).unwrap();
+    gate.force_max = stated.split(' ').next().unwrap().parse().unwrap();
+    assert_eq!(gate.check_within(&planned), Ok(()), "{told}");
+}
+
+#[test]
 #[allow(clippy::cast_possible_truncation)] // is what the test is about
 fn limits_in_single_precision_fit() {
     let single = |value: f64| f64::from(value as f32);

@@ -284,7 +284,12 @@ mod tests {
         let ended = closing(&signals);
         let server = MapServer::start_unless(&config, &mut || false, ended).unwrap();
         server.intake.waiting.close();
-        wait(&mut signals);
+        let (told, end) = std::sync::mpsc::channel();
+        thread::spawn(move || {
+            wait(&mut signals);
+            told.send(())
+        });
+        end.recv_timeout(Duration::from_secs(60)).unwrap();
         server.stop().unwrap();
     }
 }

@@ -2,8 +2,11 @@
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use std::fs;
+use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
+use std::sync::mpsc;
+use std::thread;
 use std::time::{Duration, Instant};
 
 use crate::loopback::{
@@ -35,7 +38,7 @@ fn ended(command: &mut Command) -> Output {
         if Instant::now() > late {
             process.kill().unwrap();
         }
-        std::thread::sleep(Duration::from_millis(20));
+        thread::sleep(Duration::from_millis(20));
     }
     process.wait_with_output().unwrap()
 }
@@ -161,6 +164,34 @@ fn a_mistake_in_a_configuration_names_the_file() {
     assert!(message.len() < 3000, "{message}");
 }
 
+/// What a process logs until a line has these words, and for the time `after` from then on. Panics if no line has them within a
+/// minute.
+fn log_until(command: &mut Command, words: &str, after: Duration) -> String {
+    let mut process = command.stderr(Stdio::piped()).spawn().unwrap();
+    let lines = BufReader::new(process.stderr.take().unwrap()).lines();
+    let (told, heard) = mpsc::channel();
+    let reading = thread::spawn(move || {
+        for line in lines.map_while(Result::ok) {
+            let _ = told.send(line);
+        }
+    });
+    let (late, mut log) = (Instant::now() + Duration::from_secs(60), String::new());
+    while !log.contains(words) {
+        match heard.recv_timeout(late.saturating_duration_since(Instant::now())) {
+            Ok(line) => log += &(line + "\n"),
+            Err(_) => break,
+        }
+    }
+    let found = log.contains(words);
+    thread::sleep(if found { after } else { Duration::ZERO });
+    process.kill().unwrap();
+    process.wait().unwrap();
+    reading.join().unwrap();
+    log.extend(heard.iter().map(|line| line + "\n"));
+    assert!(found, "{words} is not in: {log}");
+    log
+}
+
 #[test]
 fn the_log_is_not_filled_while_a_service_waits_for_its_router() {
     let default = ServiceConfig::new("").log;
@@ -170,30 +201,21 @@ fn the_log_is_not_filled_while_a_service_waits_for_its_router() {
         free_address(),
         &default,
     );
-    let mut process = command.stderr(Stdio::piped()).spawn().unwrap();
-    std::thread::sleep(Duration::from_secs(5));
-    process.kill().unwrap();
-    let log = String::from_utf8(process.wait_with_output().unwrap().stderr).unwrap();
-    assert!(log.contains("no session yet; trying again"), "{log}");
+    let words = "no session yet; trying again";
+    let log = log_until(&mut command, words, Duration::from_secs(3));
     assert!(log.lines().count() < 8, "{log}");
 }
 
 #[test]
 fn endpoints_that_nobody_answers_are_named() {
     let (listen, gone) = (free_endpoint(), free_endpoint());
-    let mut process = Command::new(env!("CARGO_BIN_EXE_egp-server"))
+    let mut command = Command::new(env!("CARGO_BIN_EXE_egp-server"));
+    command
         .args(["--listen", &listen, "--connect", &gone, "--library"])
-        .arg(library_file("alone.safetensors"))
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
-    std::thread::sleep(Duration::from_secs(8));
-    process.kill().unwrap();
-    let log = String::from_utf8(process.wait_with_output().unwrap().stderr).unwrap();
-    let told = log
-        .lines()
-        .filter(|line| line.contains("nobody answers at connect/endpoints"));
-    let told: Vec<_> = told.collect();
+        .arg(library_file("alone.safetensors"));
+    let words = "nobody answers at connect/endpoints";
+    let log = log_until(&mut command, words, Duration::from_secs(1));
+    let told: Vec<_> = log.lines().filter(|line| line.contains(words)).collect();
     assert!(told.len() == 1 && told[0].contains(&gone), "{log}");
 }
 
