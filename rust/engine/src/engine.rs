@@ -40,6 +40,7 @@ impl Engine {
         let (limits, metadata) = (MessageLimits::default(), library.metadata());
         let settings = settings.complete(
             library.dt(),
+            library.least_friction(),
             library.vehicle(),
             metadata.measurement_noise,
             metadata.measurement_delay,
@@ -164,7 +165,10 @@ impl Engine {
             library: self.library.id(),
             others: Vec::new(),
             dt: self.library.dt(),
-            horizon: count(self.settings.horizon(self.library.dt())),
+            horizon: count(
+                self.settings
+                    .horizon(self.library.dt(), self.library.least_friction()),
+            ),
             history: count(self.settings.weights.window(self.library.dt())),
             members: self
                 .library
@@ -293,7 +297,8 @@ fn check_sizes(
     limits: &MessageLimits,
 ) -> Result<(), EngineError> {
     let (members, dt) = (library.members().len(), library.dt());
-    let (horizon, window) = (settings.horizon(dt), settings.weights.window(dt));
+    let horizon = settings.horizon(dt, library.least_friction());
+    let window = settings.weights.window(dt);
     for (what, actual, limit) in [
         ("the number of members", members, limits.members),
         ("settings.horizon", horizon, limits.horizon),

@@ -131,6 +131,8 @@ impl Member {
             brake,
             coupling,
             transfer,
+            lateral: GRAVITY * self.friction * self.lateral_grip(vehicle),
+            braking: 1.0,
         }
     }
 

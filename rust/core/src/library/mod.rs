@@ -76,6 +76,12 @@ impl Library {
         self.metadata.dt
     }
 
+    /// Friction coefficient of the most slippery surface of the members.
+    pub fn least_friction(&self) -> f64 {
+        let frictions = self.members.iter().map(Member::friction);
+        frictions.fold(f64::INFINITY, f64::min)
+    }
+
     /// The vehicle that the library was trained for.
     pub fn vehicle(&self) -> &VehicleParameters {
         &self.metadata.parameters

@@ -52,6 +52,10 @@ pub(super) fn penalties(soft: &Soft) -> [Penalty; MAX_SOFT] {
 /// longer than the bend and is no state of the model. The drive is therefore bounded by the share of the load that the wheels
 /// inside the bend keep, `1 - transfer |v_x omega|`.
 ///
+/// On slippery surfaces tyres that transmit a lateral force have less left for drive and braking
+/// ([`TyreLimits::share_beside`]). The members show little of this: their data contain strong drive and braking for a short time,
+/// in which wheels do not yet spin or lock.
+///
 /// Far below the reference speed, as at a start, the optimum is the largest force, which spins the wheels even on a straight
 /// road. The bound on the drive is then reduced to the share [`ROLLING`].
 pub(super) fn hard(
@@ -70,11 +74,15 @@ pub(super) fn hard(
         let [little, much] = BEHIND;
         let behind = ((wanted[V_X] - x[V_X] - little) / (much - little)).clamp(0.0, 1.0);
         let catching_up = 1.0 - (1.0 - ROLLING) * behind;
+        let slip = front_direction(vehicle, x).map_or(0.0, |direction| x[DELTA] - direction);
+        let beside = tyres.share_beside(x[V_X] * x[OMEGA], slip);
+        let share = inside.max(LEAST_DRIVE).min(catching_up).min(beside);
         let drive = vehicle
             .a_max
             .min(vehicle.power / x[V_X].max(f64::MIN_POSITIVE))
-            .min(tyres.drive * inside.max(LEAST_DRIVE).min(catching_up));
-        stage.u_min = Input::new(vehicle.a_min.max(-tyres.brake), -vehicle.steering_rate);
+            .min(tyres.drive * share);
+        let brake = tyres.brake * tyres.braking.min(beside);
+        stage.u_min = Input::new(vehicle.a_min.max(-brake), -vehicle.steering_rate);
         stage.u_max = Input::new(drive, vehicle.steering_rate);
         stage.du_min = -slew;
         stage.du_max = slew;
@@ -129,13 +137,17 @@ fn interval(state: usize, lower: f64, upper: f64) -> SoftRow {
 /// Technology 21(4), 2013).
 fn steering(vehicle: &VehicleParameters, slip: f64, operating: &State) -> SoftRow {
     let delta = vehicle.steering_angle;
-    if operating[V_X] < MIN_SLIP_SPEED {
+    let Some(direction) = front_direction(vehicle, operating) else {
         return interval(DELTA, -delta, delta);
-    }
-    let sideways = operating[V_Y] + vehicle.l_f * operating[OMEGA];
-    let direction = (sideways / operating[V_X]).atan();
+    };
     let bound = |angle: f64| angle.clamp(-delta, delta);
     interval(DELTA, bound(direction - slip), bound(direction + slip))
+}
+
+/// Direction in which the front axle moves, rad from the vehicle's; none at speeds at which slip angles are not defined.
+fn front_direction(vehicle: &VehicleParameters, x: &State) -> Option<f64> {
+    let sideways = x[V_Y] + vehicle.l_f * x[OMEGA];
+    (x[V_X] >= MIN_SLIP_SPEED).then(|| (sideways / x[V_X]).atan())
 }
 
 /// Half the width of the narrowest strip to which a track is bounded, m. On a strip without width both of its bounds are
@@ -163,6 +175,18 @@ fn track(reference: &State, [left, right]: &[f64; 2], margin: f64) -> SoftRow {
 mod tests {
     use super::*;
 
+    /// Tyres whose lateral force takes nothing of the other one.
+    const TYRES: TyreLimits = TyreLimits {
+        friction: 1.0,
+        slip: f64::INFINITY,
+        drive: 3.0,
+        brake: 4.0,
+        coupling: [0.0; 2],
+        transfer: 0.0,
+        lateral: f64::INFINITY,
+        braking: 1.0,
+    };
+
     #[test]
     fn a_track_without_room_for_both_margins_is_a_narrow_strip_about_its_centre_line() {
         let reference = State::zeros();
@@ -182,7 +206,7 @@ mod tests {
             drive: 4.0,
             brake: 9.0,
             transfer: 0.08,
-            ..TyreLimits::default()
+            ..TYRES
         };
         let bounds = |omega: f64| {
             let mut qp = OcpQp::new(1, 3);
@@ -200,12 +224,43 @@ mod tests {
     }
 
     #[test]
+    fn tyres_that_transmit_a_lateral_force_have_less_left() {
+        let car = VehicleParameters::FORD_ESCORT;
+        let bounds = |omega: f64, delta: f64, braking: f64| {
+            let tyres = TyreLimits {
+                friction: 0.3,
+                slip: 0.1,
+                lateral: 5.0,
+                braking,
+                ..TYRES
+            };
+            let mut qp = OcpQp::new(1, 3);
+            let mut x = State::ith(V_X, 10.0);
+            (x[OMEGA], x[DELTA]) = (omega, delta);
+            hard(&car, 0.1, &[x; 2], &[x; 2], &[tyres; 2], &mut qp);
+            let stage = &qp.stages()[0];
+            [stage.u_max[0] / TYRES.drive, -stage.u_min[0] / TYRES.brake]
+        };
+        let is = |found: [f64; 2], [drive, brake]: [f64; 2]| {
+            (found[0] - drive).abs().max((found[1] - brake).abs()) < 1e-12
+        };
+        assert_eq!(bounds(0.0, 0.0, 1.0), [1.0; 2]);
+        // 3 of 5 m/s² across, with rolling front wheels, and 0.06 of 0.1 rad of front slip leave 0.8.
+        let rolling = (car.l_f * 0.3 / 10.0).atan();
+        assert!(is(bounds(0.3, rolling, 1.0), [0.8; 2]));
+        assert!(is(bounds(0.0, -0.06, 1.0), [0.8; 2]));
+        // Tyres at their limit keep what lets wheels roll, and of two shares the smaller one counts.
+        assert!(is(bounds(0.0, 0.3, 1.0), [ROLLING; 2]));
+        assert!(is(bounds(0.0, -0.06, 0.5), [0.8, 0.5]));
+    }
+
+    #[test]
     fn a_vehicle_far_below_its_reference_has_less_drive() {
         let car = VehicleParameters::FORD_ESCORT;
         let tyres = TyreLimits {
             drive: 3.0,
             brake: 9.0,
-            ..TyreLimits::default()
+            ..TYRES
         };
         let drive = |behind: f64| {
             let mut qp = OcpQp::new(1, 3);
@@ -232,7 +287,7 @@ mod tests {
                     drive: 1.0,
                     brake: 2.0,
                     transfer: 0.05,
-                    ..TyreLimits::default()
+                    ..TYRES
                 }; 21];
                 hard(&car, dt, &operating, &operating, &tyres, &mut qp);
                 let (mut low, mut high) = (qp.u_prev, qp.u_prev);

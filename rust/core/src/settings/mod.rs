@@ -25,6 +25,7 @@ pub use estimation::{Prior, WeightSettings};
 pub use residual::ResidualSettings;
 
 use crate::NY;
+use crate::vehicle::SLIPPERY;
 
 /// Settings of the control step.
 ///
@@ -65,9 +66,9 @@ pub struct Settings {
     pub solver: SolverSettings,
 }
 
-/// The default horizon, in s, and in periods at most.
+/// The default horizon in s if no member is slippery, and in periods at most.
 const HORIZON: f64 = 0.8;
-const LONGEST_DEFAULT_HORIZON: usize = 100;
+const LONGEST_DEFAULT_HORIZON: usize = 120;
 
 /// Longest delay of measured states accepted, in s.
 const MAX_DELAY: f64 = 0.5;
@@ -97,10 +98,14 @@ impl Settings {
     /// Longest accepted horizon. A larger number is most likely a typing error.
     pub const MAX_HORIZON: usize = 200;
 
-    /// The horizon `T` for a period of `dt` s.
-    pub fn horizon(&self, dt: f64) -> usize {
+    /// The horizon `T` for a period of `dt` s and members of which the most slippery one has the coefficient `friction`.
+    ///
+    /// By default it is 0.8 s, and longer in proportion to `friction^-2/3` below 0.5: tyres that transmit less need longer
+    /// to move the vehicle back to its path.
+    pub fn horizon(&self, dt: f64, friction: f64) -> usize {
+        let slippery = (SLIPPERY / friction).max(1.0).powf(2.0 / 3.0);
         self.horizon
-            .unwrap_or_else(|| periods(HORIZON, dt, LONGEST_DEFAULT_HORIZON))
+            .unwrap_or_else(|| periods(HORIZON * slippery, dt, LONGEST_DEFAULT_HORIZON))
     }
 
     /// The vehicle to control: the library's, with what these settings state in place of it.
@@ -131,19 +136,20 @@ impl Settings {
         (0.0..=MAX_DELAY).contains(&seconds)
     }
 
-    /// The same settings with every value stated that by default depends on the library: on its period of `dt` s, on
-    /// the vehicle it was trained for, or on noise and delay of the measured states that it states. `soft.slip` stays as
-    /// it is, because its default differs between the members.
+    /// The same settings with every value stated that by default depends on the library: on its period of `dt` s, on its
+    /// least `friction`, on the vehicle it was trained for, or on noise and delay of the measured states that it states.
+    /// `soft.slip` stays as it is, because its default differs between the members.
     #[must_use]
     pub fn complete(
         mut self,
         dt: f64,
+        friction: f64,
         library: &VehicleParameters,
         measurement_noise: Option<[f64; NY]>,
         measurement_delay: Option<f64>,
     ) -> Self {
         let vehicle = self.vehicle(library);
-        self.horizon = Some(self.horizon(dt));
+        self.horizon = Some(self.horizon(dt, friction));
         self.weights.window = Some(self.weights.window(dt));
         self.weights.measurement = Some(self.weights.measurement(measurement_noise));
         self.measurement_delay = Some(self.measurement_delay(measurement_delay));
@@ -272,20 +278,30 @@ mod tests {
     #[test]
     fn horizon_and_window_last_as_long_at_any_period_unless_stated() {
         for (dt, horizon, window) in [
-            (0.001, 100, 64),
+            (0.001, 120, 64),
             (0.02, 40, 25),
             (1.0 / 30.0, 24, 15),
             (0.05, 16, 10),
             (2.0, 1, 1),
         ] {
             let car = VehicleParameters::FORD_ESCORT;
-            let settings = Settings::default().complete(dt, &car, None, None);
+            let settings = Settings::default().complete(dt, 1.0, &car, None, None);
             assert_eq!(
                 (settings.horizon, settings.weights.window),
                 (Some(horizon), Some(window))
             );
-            assert_eq!(settings.clone().complete(0.02, &car, None, None), settings);
+            assert_eq!(
+                settings.clone().complete(0.02, 1.0, &car, None, None),
+                settings
+            );
         }
+    }
+
+    #[test]
+    fn the_horizon_is_longer_if_a_member_is_slippery() {
+        let horizon = |friction| Settings::default().horizon(0.02, friction);
+        let frictions = [1.1, 0.5, 0.3, 0.1, 0.01];
+        assert_eq!(frictions.map(horizon), [40, 40, 56, 117, 120]);
     }
 
     #[test]
@@ -306,7 +322,7 @@ mod tests {
         assert_eq!(settings.vehicle(&library), stated);
         assert_eq!(Settings::default().vehicle(&library), library);
         // What is complete no longer depends on the library, but for what no setting can state.
-        let complete = settings.complete(0.02, &library, None, None);
+        let complete = settings.complete(0.02, 1.0, &library, None, None);
         let other = complete.vehicle(&VehicleParameters::FORD_ESCORT);
         assert_eq!(
             VehicleParameters {
@@ -323,7 +339,7 @@ mod tests {
     #[test]
     fn with_the_demo_vehicle_the_defaults_are_those_of_the_published_results() {
         let settings =
-            Settings::default().complete(0.02, &VehicleParameters::FORD_ESCORT, None, None);
+            Settings::default().complete(0.02, 1.0, &VehicleParameters::FORD_ESCORT, None, None);
         let InputBounds {
             a_min,
             a_max,

@@ -188,7 +188,10 @@ fn blend_tyre_limits(
     blends: &mut [TyreLimits],
 ) {
     for (t, blend) in blends.iter_mut().enumerate() {
-        *blend = TyreLimits::default();
+        *blend = TyreLimits {
+            braking: 1.0,
+            ..TyreLimits::default()
+        };
         for (limits, weight) in members.iter().zip(stages.stage(t)) {
             blend.add(*weight, limits);
         }

@@ -111,7 +111,7 @@ impl Workspace {
     pub fn new(library: &Library, settings: &Settings) -> Result<Self, SetupError> {
         settings.validate()?;
         let (n, dt) = (library.members().len(), library.dt());
-        let horizon = settings.horizon(dt);
+        let horizon = settings.horizon(dt, library.least_friction());
         let qp = OcpQp::new(horizon, soft_rows(&settings.soft));
         let solvers = solver::solvers(&qp, &settings.solver)?;
         let vehicle = settings.vehicle(library.vehicle());

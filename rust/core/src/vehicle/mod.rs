@@ -25,8 +25,8 @@ pub use model::{ModelParameters, VehicleModel};
 pub use resistance::Resistance;
 pub(crate) use single_track::MIN_SLIP_SPEED;
 pub use single_track::{SINGLE_TRACK_PARAMETERS, SingleTrack};
-pub(crate) use tyre_limits::ROLLING;
 pub use tyre_limits::TyreLimits;
+pub(crate) use tyre_limits::{ROLLING, SLIPPERY};
 
 /// Index of `p_x` in the state, m.
 pub(crate) const P_X: usize = 0;

@@ -18,12 +18,21 @@ pub struct TyreLimits {
     pub coupling: [f64; 2],
     /// Share of the load of the wheels inside a bend that moves to those outside, for each m/s² of lateral acceleration.
     pub transfer: f64,
+    /// Largest lateral acceleration in a steady bend, m/s².
+    pub lateral: f64,
+    /// Share of `brake` that is allowed: 1 but on a road with less friction than that of all surfaces.
+    pub braking: f64,
 }
 
 /// Share of [`TyreLimits::drive`] or [`TyreLimits::brake`] for wheels that have to transmit lateral force. At the limits, 1.5
 /// `g D_x`, the wheels spin or lock. At 0.7 `g D_x` the vehicle has 66 % of its largest acceleration and spinning wheels regain
 /// grip; at 0.8 they do not.
 pub(crate) const ROLLING: f64 = 0.7 / SATURATED;
+
+/// Friction coefficient below which a surface is slippery: drive and braking are bounded by what the lateral force leaves
+/// ([`TyreLimits::share_beside`]), and horizons are longer by default. `docs/problem.md`, section 6, says why this bound is left
+/// out on other surfaces.
+pub(crate) const SLIPPERY: f64 = 0.5;
 
 /// Ratio of frictions at which the share of the braking has fallen to [`ROLLING`].
 const FAR_BELOW: f64 = 0.7;
@@ -37,6 +46,23 @@ impl TyreLimits {
         self.brake += weight * other.brake;
         self.coupling = [0, 1].map(|axle| self.coupling[axle] + weight * other.coupling[axle]);
         self.transfer += weight * other.transfer;
+        self.lateral += weight * other.lateral;
+    }
+
+    /// The share of `drive` and `brake` that tyres can transmit which already transmit a lateral force: that of the friction
+    /// ellipse, but at least [`ROLLING`], with which wheels go on rolling. From the friction [`SLIPPERY`] on it is 1.
+    ///
+    /// Of the lateral force they use the larger one of two shares: that of the lateral acceleration in the largest one of a
+    /// steady bend, and that of the front slip angle in the one at the peak. The slip tells front tyres at their limit whose
+    /// vehicle does not turn, and the acceleration tells rear tyres at theirs.
+    pub(crate) fn share_beside(&self, lateral: f64, front_slip: f64) -> f64 {
+        if self.friction >= SLIPPERY {
+            return 1.0;
+        }
+        let used = (lateral / self.lateral)
+            .abs()
+            .max((front_slip / self.slip).abs());
+        (1.0 - used * used).max(ROLLING * ROLLING).sqrt()
     }
 
     /// The limits on a road with at most `ratio` times the friction coefficient of these tyres; for ratios from 1 on they are
@@ -50,7 +76,9 @@ impl TyreLimits {
         let far = ((1.0 - ratio) / (1.0 - FAR_BELOW)).min(1.0);
         Self {
             drive: self.drive * ratio,
-            brake: self.brake * ratio * (1.0 - (1.0 - ROLLING) * far),
+            brake: self.brake * ratio,
+            lateral: self.lateral * ratio,
+            braking: 1.0 - (1.0 - ROLLING) * far,
             ..self
         }
     }
@@ -69,20 +97,31 @@ mod tests {
             brake: 6.0,
             coupling: [0.2, 0.3],
             transfer: 0.08,
+            lateral: 4.0,
+            braking: 1.0,
         };
         let forces = |ratio: f64| {
             let limits = tyres.on_less_friction(ratio);
-            let (drive, brake) = (tyres.drive, tyres.brake);
+            assert_eq!(limits.lateral, 4.0 * ratio.min(1.0));
+            let TyreLimits {
+                drive,
+                brake,
+                lateral,
+                braking,
+                ..
+            } = tyres;
             assert_eq!(
                 TyreLimits {
                     drive,
                     brake,
+                    lateral,
+                    braking,
                     ..limits
                 },
                 tyres,
                 "only forces change"
             );
-            [limits.drive, limits.brake]
+            [limits.drive, limits.brake * limits.braking]
         };
         for ratio in [1.0, 2.0, f64::INFINITY] {
             assert_eq!(forces(ratio), [3.0, 6.0]);
@@ -98,5 +137,29 @@ mod tests {
                 "{ratio} {difference:?}"
             );
         }
+    }
+    #[test]
+    fn beside_a_lateral_force_tyres_transmit_what_the_friction_ellipse_leaves() {
+        let tyres = TyreLimits {
+            friction: 0.3,
+            slip: 0.1,
+            lateral: 5.0,
+            ..TyreLimits::default()
+        };
+        let share = |lateral, slip| tyres.share_beside(lateral, slip);
+        assert_eq!(share(0.0, 0.0), 1.0);
+        for sign in [-1.0, 1.0] {
+            assert!((share(sign * 3.0, 0.0) - 0.8).abs() < 1e-12);
+            assert!((share(0.0, sign * 0.06) - 0.8).abs() < 1e-12);
+        }
+        // The larger share counts.
+        assert!((share(3.0, 0.08) - 0.6).abs() < 1e-12);
+        assert!((share(4.0, 0.06) - 0.6).abs() < 1e-12);
+        for beyond in [share(5.0, 0.0), share(0.0, 0.1), share(50.0, 0.0)] {
+            assert!((beyond - ROLLING).abs() < 1e-12);
+        }
+        let friction = SLIPPERY;
+        let rough = TyreLimits { friction, ..tyres };
+        assert_eq!(rough.share_beside(50.0, 1.0), 1.0);
     }
 }

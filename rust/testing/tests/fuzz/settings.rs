@@ -33,7 +33,7 @@ fn accepted_settings_are_valid_and_read_back() {
     let examples = [
         Settings::default().to_toml().unwrap(),
         Settings::default()
-            .complete(0.05, &VehicleParameters::FORD_ESCORT, None, None)
+            .complete(0.05, 0.5, &VehicleParameters::FORD_ESCORT, None, None)
             .to_toml()
             .unwrap(),
         "horizon = 25\n[cost]\nlateral = 30.0".to_owned(),
