@@ -85,7 +85,8 @@ def compare(
     )
     console.print(
         "largest difference of the first input, scaled: "
-        f"median {np.median(difference):.1e}, worst {np.max(difference):.1e} (OSQP at 1e-5)"
+        f"median {np.median(difference):.1e}, worst {np.max(difference):.1e} "
+        "(the paper's problem has no proximal term and fewer bounds; OSQP at 1e-5)"
     )
     draw(seconds, picture)
     console.print(f"picture: {picture}")

@@ -12,6 +12,8 @@ number of runs of each, 20 unless stated.
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
+from itertools import groupby
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -22,6 +24,7 @@ from egp_service.evaluation.contenders import ENSEMBLE, ORACLE, Contender, make
 from egp_service.evaluation.experiment import NOISE
 from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.scenario import Scenario, Speed, Track, Zone
+from egp_service.workers import in_order, workers
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -54,28 +57,38 @@ def usable(surface: str, bound: float) -> float:
     return float(force[slips <= bound].max() / force.max())
 
 
-def laps(
-    library: str, kind: str, grip: float, surfaces: tuple[str, ...], seeds: int
-) -> tuple[int, float, float]:
-    """Completed runs over zones of equal length, and median RMS and largest lateral error in m."""
-    zones = tuple(Zone(n / len(surfaces), surface=name) for n, name in enumerate(surfaces))
-    completed, errors = 0, []
-    for seed in range(seeds):
-        scenario = Scenario(
-            name="surfaces",
-            track=Track("random"),
-            zones=zones,
-            library=library,
-            seed=seed,
-            speed=Speed(grip=grip, v_max=18.0, tyres=True),
-            measurement=NOISE,
-        )
-        controller = make(Contender(kind, kind), scenario)
-        summary = drive(scenario, controller, lambda _: None).summary
-        completed += summary.ending.completed
-        errors.append((summary.lateral_error.rms, summary.lateral_error.max))
-    rms, largest = np.median(errors, axis=0)
-    return completed, float(rms), float(largest)
+@dataclass(frozen=True)
+class Lap:
+    """A lap over zones of equal length on these surfaces."""
+
+    library: str
+    kind: str
+    grip: float
+    surfaces: tuple[str, ...]
+    seed: int
+
+    @property
+    def row(self) -> str:
+        """The table's row to which the lap belongs."""
+        name = self.surfaces[0] if len(self.surfaces) == 1 else "all"
+        return f"{name:5} {self.grip:4.0%}  {self.kind:9}"
+
+
+def drive_lap(lap: Lap) -> tuple[bool, float, float]:
+    """Whether the lap was completed, and RMS and largest lateral error in m."""
+    zones = (Zone(n / len(lap.surfaces), surface=name) for n, name in enumerate(lap.surfaces))
+    scenario = Scenario(
+        name="surfaces",
+        track=Track("random"),
+        zones=tuple(zones),
+        library=lap.library,
+        seed=lap.seed,
+        speed=Speed(grip=lap.grip, v_max=18.0, tyres=True),
+        measurement=NOISE,
+    )
+    controller = make(Contender(lap.kind, lap.kind), scenario)
+    summary = drive(scenario, controller, lambda _: None).summary
+    return summary.ending.completed, summary.lateral_error.rms, summary.lateral_error.max
 
 
 def main(library: str, seeds: int = 20) -> None:
@@ -84,17 +97,22 @@ def main(library: str, seeds: int = 20) -> None:
     for member in Library.load(library).members:
         share = usable(member.label, member.peak_slip)
         print(f"{member.label:7} {member.peak_slip:9.3f} rad {100 * share:16.1f} %")
-    print("lap   grip  contender  completed  RMS, max m")
-    for surfaces in (*((name,) for name in SURFACES), SURFACES):
-        name = surfaces[0] if len(surfaces) == 1 else "all"
-        for grip in GRIPS:
-            for kind in (ENSEMBLE, ORACLE):
-                completed, rms, largest = laps(library, kind, grip, surfaces, seeds)
-                runs = f"{completed}/{seeds}"
-                print(
-                    f"{name:5} {grip:4.0%}  {kind:9}  {runs:9}  {rms:.3f}, {largest:.2f}",
-                    flush=True,
-                )
+    print("lap   grip  contender  completed  RMS, max m", flush=True)
+    laps = [
+        Lap(library, kind, grip, surfaces, seed)
+        for surfaces in (*((name,) for name in SURFACES), SURFACES)
+        for grip in GRIPS
+        for kind in (ENSEMBLE, ORACLE)
+        for seed in range(seeds)
+    ]
+    with workers() as pool:
+        driven = zip(laps, in_order(pool, drive_lap, laps), strict=True)
+        for row, runs in groupby(driven, lambda run: run[0].row):
+            completed, rms, largest = np.transpose([result for _, result in runs])
+            finished = f"{completed.sum():.0f}/{seeds}"
+            print(
+                f"{row}  {finished:9}  {np.median(rms):.3f}, {np.median(largest):.2f}", flush=True
+            )
 
 
 if __name__ == "__main__":

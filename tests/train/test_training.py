@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 import pytest
+import torch
 from surfaces import NOISE, TOY, provenance, surface
+from threadpoolctl import threadpool_limits
 
 from egp_service import EgpError
 from egp_service._core import Library
@@ -71,6 +73,20 @@ def test_same_seed_same_bytes(tmp_path: Path, kernel: KernelName) -> None:
     other = dataclasses.replace(settings, seed=1)
     export(tmp_path / "other", train([surface()], other), other, {}, TOY)
     assert (tmp_path / "first").read_bytes() != (tmp_path / "other").read_bytes()
+
+
+def test_the_number_of_threads_does_not_change_a_bit(tmp_path: Path) -> None:
+    settings = dataclasses.replace(SETTINGS, max_points=400, max_iterations=5)
+    before = torch.get_num_threads()
+    try:
+        for threads in (1, 2):
+            torch.set_num_threads(threads)
+            members = train([surface()], settings)
+            with threadpool_limits(threads, user_api="blas"):
+                export(tmp_path / str(threads), members, settings, {}, TOY)
+    finally:
+        torch.set_num_threads(before)
+    assert (tmp_path / "1").read_bytes() == (tmp_path / "2").read_bytes()
 
 
 def test_library_predicts_what_gpytorch_does(

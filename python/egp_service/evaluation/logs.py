@@ -21,7 +21,8 @@ from egp_service.training.average_member import PriorMean, average_member
 from egp_service.training.choice import hold_out
 from egp_service.training.delays import find_delays
 from egp_service.training.open_loop import LINEAR, Skill, linear, skill
-from egp_service.training.train import TrainingSettings, check_data, one_thread, train_parts
+from egp_service.training.threads import one_thread
+from egp_service.training.train import TrainingSettings, check_data, train_parts
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -1,7 +1,9 @@
 """The paper's optimal control problem, eq. (18), as a DPP-parametrised CVXPY problem for OSQP.
 
-Costs, bounds and penalties are those of this system's step, so that both solve the same problem.
-For the conditioning of OSQP, states are deviations from the reference and inputs are scaled.
+Its weights, limits and penalties are those of this system's step, so that both do the same work.
+As in the paper there is no proximal term, no factor of the terminal weight for slippery roads, and
+no bound of the force by tyres, bends and the reference speed, so that plans differ. For the
+conditioning of OSQP, states are deviations from the reference and inputs are scaled.
 """
 
 from __future__ import annotations

@@ -10,6 +10,7 @@ import numpy as np
 from egp_service._core import MemberData, write_library
 from egp_service.data.channels import channels
 from egp_service.training.prior_mean import SINGLE_TRACK
+from egp_service.training.threads import one_thread
 from egp_service.vehicle import known_vehicle, simulated_vehicle
 
 if TYPE_CHECKING:
@@ -45,13 +46,15 @@ def export(
 
     """
     first = members[0].dataset.provenance
+    with one_thread(settings.max_points):
+        exported = [_member(member) for member in members]
     write_library(
         path,
         dt=first.dt,
         kernel=settings.kernel,
         vehicle=first.vehicle,
         parameters=vehicle or known_vehicle(first.vehicle),
-        members=[_member(member) for member in members],
+        members=exported,
         provenance={**provenance, **_findings(members)},
         measurement_noise=_measurement_noise(members),
         measurement_delay=_measurement_delay(members),

@@ -11,14 +11,11 @@ With a vehicle as prior mean the outputs' processes share kernel and noise.
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import operator
-from typing import TYPE_CHECKING, Final, Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
-import torch
-from threadpoolctl import threadpool_limits
 
 from egp_service._core import EgpError
 from egp_service.data.alignment import align
@@ -30,18 +27,17 @@ from egp_service.training.choice import BUDGET, best_member, blocks_to_compare
 from egp_service.training.delays import find_delays
 from egp_service.training.exact_member import exact_member, spread
 from egp_service.training.kernel import KernelName
+from egp_service.training.threads import one_thread
 from egp_service.training.vehicle_fit import VehicleFitError, fit_vehicle
 from egp_service.vehicle import simulated_vehicle
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Sequence
 
     from egp_service._core import VehicleParameters
     from egp_service.data.dataset import Provenance
     from egp_service.training.trained import TrainedMember
     from egp_service.training.vehicle_fit import FittedVehicle
-
-_LARGEST_SINGLE_THREADED: Final = 1000  # points of a member
 
 
 @dataclasses.dataclass(frozen=True)
@@ -225,24 +221,6 @@ def train_parts(
             else:
                 members.append(exact_member(part, fitted, settings, rng, on_fit))
     return members
-
-
-@contextlib.contextmanager
-def one_thread(points: int) -> Iterator[None]:
-    """Use one thread of torch and of numpy's BLAS for small matrices.
-
-    Further threads would only busy-wait, and beside other programs wait for processors.
-    """
-    if points > _LARGEST_SINGLE_THREADED:
-        yield
-        return
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        with threadpool_limits(1, user_api="blas"):
-            yield
-    finally:
-        torch.set_num_threads(before)
 
 
 def check_one_library(origins: Sequence[Provenance]) -> None:

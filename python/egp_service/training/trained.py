@@ -12,6 +12,7 @@ import torch
 from egp_service.quantities import NY, NZ
 from egp_service.training import prior_mean
 from egp_service.training.gaussian_process import exact
+from egp_service.training.threads import one_thread
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -127,7 +128,7 @@ class TrainedMember:
     def alpha(self) -> NDArray[np.float64]:
         """Solution of `(K + s²I) alpha = y - constant` for every output, (3, M), z-scored."""
         rows = []
-        with torch.no_grad(), exact():
+        with torch.no_grad(), exact(), one_thread(len(self.inputs)):
             for process in self.processes:
                 z = process.inputs
                 K = process.covar_module(z).to_dense()
