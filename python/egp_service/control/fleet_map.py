@@ -42,6 +42,8 @@ _FIRST_SHARE = 1.0 / 3.0
 _OLDEST = 4_294_967.0
 # Above the largest ratio of likelihoods that a tile can hold, nats.
 _UNLIMITED = 8.0
+# Largest number of tiles whose evidence is being sent: a slow link has room for little.
+_SENDING = 16
 
 _NO_ANSWER = "no map service answers; driving goes on without it"
 
@@ -54,6 +56,7 @@ class _Report:
 
     tile: bytes
     at: float
+    aged: float
     origins: dict[str, float] = field(default_factory=dict)
 
 
@@ -104,11 +107,12 @@ class FleetMap:
         self._unsent: dict[int, float] = {}
         belief.take_changed()
         self._sending: set[int] = set()
-        self._stale_from: int | None = None
+        # The first and the last tile that have changed since they were asked for.
+        self._stale: tuple[int, int] | None = None
         self._asking = 0
         self._answered = False
         self._patience = timeout
-        self._exchanged = self._aged = time.monotonic()
+        self._exchanged = time.monotonic()
         self._warned: set[str] = set()
         # Whether the last question had no answer, and whether this is told by `fetch` itself.
         self._silent = self._fetching = False
@@ -131,11 +135,11 @@ class FleetMap:
         try:
             while time.monotonic() < deadline:
                 self._silent = False
-                self._ask(0)
+                self._ask(*self._road)
                 self._patience = self._timeout
                 while self._asking and time.monotonic() < deadline:
                     self._handle(deadline)
-                if not self._asking and not self._silent and self._stale_from is None:
+                if not self._asking and not self._silent and self._stale is None:
                     return True
                 time.sleep(0.05)  # the link may not be there yet
         finally:
@@ -152,12 +156,14 @@ class FleetMap:
         if now - self._exchanged >= _EXCHANGE_SECONDS:
             self._exchanged = now
             self._send()
-            if self._stale_from is not None and not self._asking:
-                self._ask(self._stale_from)
-        if now - self._aged >= _AGEING_SECONDS:
-            self._aged = now
-            for index, report in self._reports.items():
-                self._belief.report(index, self._at(report, now))
+            if self._stale is not None and not self._asking:
+                self._ask(*self._stale)
+        # The report that was aged longest ago is the first. Ageing one takes part of a millisecond.
+        index, report = next(iter(self._reports.items()), (0, None))
+        if report is not None and now - report.aged >= _AGEING_SECONDS:
+            report.aged = now
+            self._reports[index] = self._reports.pop(index)
+            self._belief.report(index, self._at(report, now))
 
     @property
     def answered(self) -> bool:
@@ -189,9 +195,11 @@ class FleetMap:
         deadline = time.monotonic() + self._timeout
         try:
             if not self._silent:
-                self._send()
+                tried = set[int]()
+                self._send(tried)
                 while self._sending and time.monotonic() < deadline:
                     self._handle(deadline)
+                    self._send(tried)
                 if self._sending:
                     self._silent = True
             if left := self.unsent:
@@ -214,11 +222,17 @@ class FleetMap:
         if event is not None:
             event()
 
-    def _send(self) -> None:
-        """Send the tiles whose evidence changed; one without an answer is sent again later."""
+    def _send(self, tried: set[int] | None = None) -> None:
+        """Send tiles whose evidence changed; one without an answer is sent again later.
+
+        Those that were `tried` are not sent.
+        """
         now = time.monotonic()
         self._note_changed(now)
-        for index in sorted(self._unsent.keys() - self._sending):
+        tried = set() if tried is None else tried
+        room = _SENDING - len(self._sending)
+        for index in sorted(self._unsent.keys() - self._sending - tried)[:room]:
+            tried.add(index)
             measured = self._unsent[index]
             evidence = encode_tile_evidence(self._belief.tile(index), now - measured)
             del self._unsent[index]
@@ -240,22 +254,31 @@ class FleetMap:
         if not answered:
             self._unsent.setdefault(index, measured)
 
-    def _ask(self, first: int) -> None:
-        """Ask for the tiles from `first` on."""
+    @property
+    def _road(self) -> tuple[int, int]:
+        """The first and the last tile of the road."""
+        return 0, self._belief.tiles - 1
+
+    def _ask(self, first: int, last: int) -> None:
+        """Ask for the tiles from `first` to `last`; an answer may have further ones."""
         self._asking += 1
-        if self._stale_from is not None and self._stale_from >= first:
-            self._stale_from = None
-        self._query(self._keys.tiles(first), self._use, self._asked, patience=self._patience)
+        if self._stale is not None and first <= self._stale[0] and self._stale[1] <= last:
+            self._stale = None
+        use = partial(self._use, last)
+        self._query(self._keys.tiles(first), use, self._asked, patience=self._patience)
 
     def _asked(self, answered: bool) -> None:  # noqa: FBT001 - a callback
         self._asking -= 1
         if answered:
             self._answered = True
         else:
-            self._stale_from = 0
+            self._stale = self._road
 
-    def _use(self, payload: bytes) -> None:
-        """Hand an answer to the belief; tiles beyond the end of the road are left out."""
+    def _use(self, last: int, payload: bytes) -> None:
+        """Hand an answer to the belief, and ask on up to the tile `last`.
+
+        Tiles beyond the end of the road are left out.
+        """
         try:
             tiles, more = decode_road_tiles(payload)
         except EgpError as error:
@@ -265,9 +288,10 @@ class FleetMap:
         for found in tiles:
             if found.index < self._belief.tiles:
                 self._belief.report(found.index, found.tile)
-                self._reports[found.index] = _Report(found.tile, now, dict(found.origins))
-        if more and tiles and tiles[-1].index + 1 < self._belief.tiles:
-            self._ask(tiles[-1].index + 1)
+                self._reports.pop(found.index, None)
+                self._reports[found.index] = _Report(found.tile, now, now, dict(found.origins))
+        if more and tiles and tiles[-1].index < last:
+            self._ask(tiles[-1].index + 1, last)
 
     def _at(self, report: _Report, now: float) -> bytes:
         aged = [(report.tile, now - report.at)]
@@ -319,6 +343,7 @@ class FleetMap:
                 payload=payload,
                 encoding=EVIDENCE_ENCODING,
                 timeout=self._timeout if patience is None else patience,
+                congestion_control=zenoh.CongestionControl.DROP,  # BLOCK waits for a full link
             )
         except zenoh.ZError:
             ended()
@@ -350,8 +375,9 @@ class FleetMap:
                 self._warn(f"a publication of the map service cannot be read: {error}")
                 return
             if changed:
-                first = min(changed)
-                known = self._stale_from
-                self._stale_from = first if known is None else min(first, known)
+                both = {*changed, *(self._stale or ())}
+                first, last = min(both), min(max(both), self._belief.tiles - 1)
+                if first <= last:
+                    self._stale = first, last
 
         self._inbox.put(note)
