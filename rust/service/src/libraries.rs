@@ -56,7 +56,8 @@ impl From<TableFull> for ReloadError {
 pub struct Libraries {
     file: PathBuf,
     settings: Settings,
-    signers: Option<Signers>,
+    /// The file of the public keys of those who may sign libraries, which each reload reads again.
+    keys: Option<PathBuf>,
     started: Instant,
     table: LibraryTable<Loaded>,
     /// One reload at a time.
@@ -69,11 +70,7 @@ impl Libraries {
     /// # Errors
     /// [`ReloadError`]; the message names the file.
     pub fn load(config: &ServiceConfig) -> Result<Self, ReloadError> {
-        let signers = config
-            .library_keys
-            .as_deref()
-            .map(Signers::load)
-            .transpose()?;
+        let signers = signers(config.library_keys.as_deref())?;
         let load = |file: &Path| Loaded::from_file(file, &config.settings, signers.as_ref());
         let first = load(&config.library)?;
         let first = Loaded {
@@ -86,7 +83,7 @@ impl Libraries {
         Ok(Self {
             file: config.library.clone(),
             settings: config.settings.clone(),
-            signers,
+            keys: config.library_keys.clone(),
             started: Instant::now(),
             table: LibraryTable::new(first, further, config.max_libraries),
             loading: Mutex::new(()),
@@ -103,7 +100,7 @@ impl Libraries {
         self.table.ids()
     }
 
-    /// Loads and checks the library file again, and lets `ready` describe its library from now on. The signature beside the
+    /// Loads and checks the file of public keys and the library file again, and lets `ready` describe its library from now on. The signature beside the
     /// file takes the place of the one that was offered with this library before. Libraries from before are
     /// still served to requests that state them; if there are more than the configuration allows, the one that was neither
     /// asked for nor described for the longest time is removed.
@@ -112,7 +109,8 @@ impl Libraries {
     /// [`ReloadError`] if the file cannot be used or no library can be removed; nothing changes then.
     pub fn reload(&self) -> Result<Reloaded, ReloadError> {
         let _one = self.loading.lock().unwrap_or_else(PoisonError::into_inner);
-        let content = read(&self.file, self.signers.as_ref())?;
+        let signers = signers(self.keys.as_deref())?;
+        let content = read(&self.file, signers.as_ref())?;
         let (id, signature) = (library::hash(&content.bytes), content.signature);
         // A library that is served was checked when it was loaded, and is not made again.
         let load = |described: &Loaded| -> Result<Loaded, ReloadError> {
@@ -168,6 +166,11 @@ impl Loaded {
         self.engine = self.engine.with_cores_of(&other.engine);
         self
     }
+}
+
+/// Those who may sign libraries, if there is a file of their public keys.
+fn signers(keys: Option<&Path>) -> Result<Option<Signers>, ReloadError> {
+    Ok(keys.map(Signers::load).transpose()?)
 }
 
 /// The content of a library file, whose signature is checked if there are signers.

@@ -233,7 +233,14 @@ fn with_keys_only_signed_libraries_are_served() {
     assert_eq!(served.ids(), [first]);
     assert_eq!(sign(&config.library, 1), own);
     assert_eq!(served.reload().unwrap(), Reloaded::Changed(second));
+    // Each reload reads the keys again: one that was added counts, and one that was removed does not.
+    let added = sign(&config.library, 2);
+    std::fs::write(&keys, &added).unwrap();
+    assert_eq!(served.reload().unwrap(), Reloaded::Same(second));
+    sign(&config.library, 1);
+    assert!(failure(&served).contains("is not signed by any of the 1 configured keys"));
     std::fs::write(&keys, "# none\n").unwrap();
+    assert!(failure(&served).contains("there is no public key in it"));
     let error = Libraries::load(&config).err().unwrap().to_string();
     assert!(error.contains("there is no public key in it"), "{error}");
     // A file of the vehicles' secret keys in place of that of the signers is not shown.
