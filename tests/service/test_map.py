@@ -36,15 +36,17 @@ from patience import PATIENCE, shortest, wait_until
 from road_evidence import PATH, measure, measured
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
 SCENARIO = load_scenario("random")
 
 
 @contextmanager
-def map_service(endpoint: str, *options: str) -> Iterator[subprocess.Popen[str]]:
-    """Run `egp map` and end it with Ctrl-C."""
-    command = [sys.executable, "-m", "egp_service", "map", "--listen", endpoint, *options]
+def map_service(
+    endpoint: str, *options: str, before: Sequence[str] = ()
+) -> Iterator[subprocess.Popen[str]]:
+    """Run `egp map`, perhaps by another program, and end it with Ctrl-C."""
+    command = [*before, sys.executable, "-m", "egp_service", "map", "--listen", endpoint, *options]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         try:
             wait_until(lambda: why_unreachable(endpoint) is None)
@@ -256,6 +258,16 @@ def test_roads_are_written_in_time_and_a_map_that_cannot_write_says_so(tmp_path:
         assert metric(session, "egp_map_unsaved_roads") == 1
         with pytest.raises(EgpError, match="1 roads of the map were not written"):
             server.stop()
+
+
+def test_a_signal_that_is_ignored_at_the_start_stays_ignored() -> None:
+    bit = 1 << (signal.SIGHUP - 1)
+    with map_service(free_endpoint(), before=["nohup"]) as service:
+        status = Path(f"/proc/{service.pid}/status").read_text(encoding="utf-8")
+        ignored, caught = (
+            int(re.findall(rf"{name}:\s*(\w+)", status)[0], 16) for name in ("SigIgn", "SigCgt")
+        )
+        assert (ignored & bit, caught & bit) == (bit, 0)
 
 
 def test_sighup_ends_the_service() -> None:

@@ -20,7 +20,11 @@ def run_program(program: Callable[[Sequence[str]], int], arguments: Sequence[str
     Meanwhile a signal ends the process at once, or, where the program reports what it has until
     then, with the program: Python's handlers would wait for the program to return.
     """
-    handlers = {number: signal.signal(number, signal.SIG_DFL) for number in _ENDING}
+    handlers = {
+        number: signal.signal(number, signal.SIG_DFL)
+        for number in _ENDING
+        if signal.getsignal(number) != signal.SIG_IGN
+    }
     try:
         return program(arguments)
     finally:

@@ -21,10 +21,14 @@ _received: list[int] = []
 
 
 def install() -> None:
-    """Let SIGTERM and SIGHUP exit with 128 + their number, and SIGINT raise `KeyboardInterrupt`."""
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, _end)
-    signal.signal(signal.SIGINT, _interrupt)
+    """Let SIGTERM and SIGHUP exit with 128 + their number, and SIGINT raise `KeyboardInterrupt`.
+
+    A signal that this process inherited as ignored, as SIGHUP under `nohup`, stays ignored.
+    """
+    handlers = {signal.SIGTERM: _end, signal.SIGHUP: _end, signal.SIGINT: _interrupt}
+    for number, handler in handlers.items():
+        if signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, handler)
     sys.unraisablehook = _report_unraisable
 
 

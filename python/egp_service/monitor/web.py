@@ -208,7 +208,8 @@ def serve(listener: Listener, bound: socket.socket, host: str, started: Callable
     )
     server = uvicorn.Server(config)
     # An exception within the event loop would end in a traceback of every open page.
-    signal.signal(signal.SIGHUP, server.handle_exit)
+    if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:  # as under `nohup`
+        signal.signal(signal.SIGHUP, server.handle_exit)
     server.run(sockets=[bound])
     if failures:
         raise failures[0]

@@ -1,7 +1,7 @@
 //! A service as a whole process: `egp-server` and `egp serve`.
 
 use egp_trace::TraceFile;
-use egp_wire::{Ready, survive_file_size_limit};
+use egp_wire::{Ready, not_ignored, survive_file_size_limit};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 use thiserror::Error;
@@ -80,7 +80,9 @@ pub fn serve(config: &ServiceConfig) -> Result<(), ServeError> {
     allow_all();
     survive_file_size_limit().map_err(ServeError::Signals)?;
     // Signals are registered before the start, so that an early one is not lost.
-    let mut signals = Signals::new([SIGTERM, SIGINT, SIGHUP]).map_err(ServeError::Signals)?;
+    let mut caught = not_ignored(&[SIGTERM, SIGINT]);
+    caught.push(SIGHUP); // also under `nohup`, because it does not end this program
+    let mut signals = Signals::new(caught).map_err(ServeError::Signals)?;
     let (mut ended, mut reload) = (false, false);
     let mut stopped = || {
         for signal in signals.pending() {
