@@ -5,7 +5,7 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use egp_map::Tile;
+use egp_map::{TILE_BYTES, Tile};
 use egp_wire::keys::Name;
 use egp_wire::road_keys::RoadKey;
 use egp_wire::{ROAD_TILES, VERSION, proto, read_regular};
@@ -18,6 +18,8 @@ use super::store::{Road, Store, StoreError, Tiles};
 const SUFFIX: &str = "road";
 /// Bytes of the field `sha256` of a file: tag, length and content.
 const CHECKSUM: usize = 2 + SHA256_OUTPUT_LEN;
+/// At least as many bytes as a contribution takes in a file, whose vehicle's name has up to 64 characters.
+const LARGEST_EVIDENCE: usize = TILE_BYTES + 128;
 /// Largest file that is read, bytes: the longest road with 64 vehicles takes less.
 const LARGEST: u64 = 2 << 30;
 
@@ -44,13 +46,14 @@ pub(crate) fn load(folder: &Path, store: &mut Store, clocks: Clocks) -> Result<(
             continue;
         }
         let bytes = read_regular(&path, LARGEST).map_err(system(&path))?;
-        let version =
-            proto::StoredRoad::decode(bytes.as_slice()).map_or(VERSION, |road| road.version);
+        let stored = proto::StoredRoad::decode(bytes.as_slice());
+        let version = stored.as_ref().map_or(VERSION, |road| road.version);
         if version > VERSION {
             return Err(RoadFileError::Newer { path, version });
         }
         let file = path.display();
-        match parse(&bytes) {
+        let stored = stored.map_err(|error| error.to_string());
+        match stored.and_then(|stored| parse(stored, &bytes)) {
             Ok((road, evidence)) => {
                 let added = add(&road, evidence, store, clocks);
                 if added.beyond > 0 {
@@ -112,9 +115,8 @@ struct Evidence {
     measured_ms: u64,
 }
 
-/// Reads the road and the contributions of a file, or says what was expected and what came.
-fn parse(bytes: &[u8]) -> Result<(Road, Vec<Evidence>), String> {
-    let stored = proto::StoredRoad::decode(bytes).map_err(|error| error.to_string())?;
+/// The road and the contributions of a file with these bytes, or what was expected and what came.
+fn parse(stored: proto::StoredRoad, bytes: &[u8]) -> Result<(Road, Vec<Evidence>), String> {
     if stored.version != VERSION {
         return Err(format!(
             "expected version {VERSION}, got {}",
@@ -202,33 +204,43 @@ pub(super) fn path(folder: &Path, (fleet, name): &Road) -> PathBuf {
     folder.join(format!("{fleet}@{name}.{SUFFIX}"))
 }
 
-/// The content of a road's file.
+/// The content of a road's file without its checksum. Protobuf reads messages one behind the other as one message with the
+/// fields of all, so that no second copy of all tiles is needed.
 pub(crate) fn encode((fleet, name): &Road, tiles: &Tiles, clocks: Clocks) -> Vec<u8> {
-    let evidence = tiles.iter().flat_map(|(tile, vehicles)| {
-        vehicles
-            .iter()
-            .map(|(vehicle, contribution)| proto::StoredEvidence {
-                tile: *tile,
-                vehicle: vehicle.to_string(),
-                measured_ms: clocks
-                    .unix_ms
-                    .saturating_sub(age_ms(clocks.now - contribution.at)),
-                rows: contribution.tile.bytes().to_vec(),
-            })
-    });
-    let stored = proto::StoredRoad {
+    let road = proto::StoredRoad {
         version: VERSION,
         fleet: fleet.to_string(),
         road: name.to_string(),
-        evidence: evidence.collect(),
-        sha256: Vec::new(),
+        ..proto::StoredRoad::default()
     };
-    let mut bytes = stored.encode_to_vec();
+    let count: usize = tiles.values().map(BTreeMap::len).sum();
+    let mut bytes = Vec::with_capacity(count * LARGEST_EVIDENCE + 2 * LARGEST_EVIDENCE);
+    bytes.extend(road.encode_to_vec());
+    for (tile, vehicles) in tiles {
+        for (vehicle, contribution) in vehicles {
+            let age = age_ms(clocks.now - contribution.at);
+            let evidence = proto::StoredEvidence {
+                tile: *tile,
+                vehicle: vehicle.to_string(),
+                measured_ms: clocks.unix_ms.saturating_sub(age),
+                rows: contribution.tile.bytes().to_vec(),
+            };
+            let evidence = proto::StoredRoad {
+                evidence: vec![evidence],
+                ..proto::StoredRoad::default()
+            };
+            bytes.extend(evidence.encode_to_vec());
+        }
+    }
+    bytes
+}
+
+/// Adds the checksum to the content of a road's file. It takes seconds for a long road.
+pub(crate) fn with_checksum(mut bytes: Vec<u8>) -> Vec<u8> {
     let checksum = proto::StoredRoad {
         sha256: digest(&SHA256, &bytes).as_ref().to_vec(),
         ..proto::StoredRoad::default()
     };
-    // Protobuf reads two messages one behind the other as one message with the fields of both.
     bytes.extend(checksum.encode_to_vec());
     bytes
 }
@@ -241,7 +253,7 @@ fn age_ms(seconds: f64) -> u64 {
 #[cfg(test)]
 #[allow(clippy::unwrap_used)]
 mod tests {
-    use egp_map::{MergeSettings, TILE_BYTES};
+    use egp_map::MergeSettings;
 
     use super::super::store::MapLimits;
     use super::super::writer::write;
@@ -291,7 +303,7 @@ mod tests {
     fn save(folder: &Path, store: &Store, clocks: Clocks) {
         let road = (name("depot"), name("ring"));
         let bytes = encode(&road, store.road(&road).unwrap(), clocks);
-        write(folder, &road, Some(bytes)).unwrap();
+        write(folder, &road, Some(with_checksum(bytes))).unwrap();
     }
 
     /// What a service finds in the folder.

@@ -9,13 +9,13 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use egp_session::NetworkError;
-use egp_wire::{road_keys, survive_file_size_limit};
+use egp_wire::{not_ignored, road_keys, survive_file_size_limit};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 use thiserror::Error;
 
 use super::config::MapConfig;
-use super::file::load;
+use super::file::{load, with_checksum};
 use super::file_error::RoadFileError;
 use super::folder_lock::lock;
 use super::intake::Intake;
@@ -133,7 +133,9 @@ impl MapServer {
         let putter = network.putter();
         let writer = config.folder.clone().map(|folder| {
             let woken = intake.clone();
-            let write = move |road: &Road, content: Content| write(&folder, road, content);
+            let write = move |road: &Road, content: Content| {
+                write(&folder, road, content.map(with_checksum))
+            };
             Writer::start(write, move || woken.waiting.wake())
         });
         let keeper = Keeper {
@@ -228,7 +230,7 @@ pub fn check_map(config: &MapConfig) -> Result<Option<String>, MapError> {
     Ok(end.and_then(|end| certificates::warning(end, certificates::now())))
 }
 
-/// Keeps a map until SIGTERM, SIGINT or SIGHUP.
+/// Keeps a map until SIGTERM, SIGINT or SIGHUP; one that the process ignores, as SIGHUP under `nohup`, has no effect.
 ///
 /// # Errors
 /// [`MapError`] if the service does not start, something is not written at the end, or the thread that keeps the map panicked,
@@ -240,7 +242,7 @@ pub fn serve_map(config: &MapConfig) -> Result<(), MapError> {
     allow_all();
     survive_file_size_limit()?;
     // Signals are registered before the start, so that an early one is not lost.
-    let mut signals = Signals::new([SIGTERM, SIGINT, SIGHUP])?;
+    let mut signals = Signals::new(not_ignored(&[SIGTERM, SIGINT, SIGHUP]))?;
     let (mut ended, closing) = (false, closing(&signals));
     let mut stopped = || {
         ended |= signals.pending().next().is_some();
@@ -248,7 +250,14 @@ pub fn serve_map(config: &MapConfig) -> Result<(), MapError> {
     };
     let server = match MapServer::start_unless(config, &mut stopped, closing) {
         Err(_) if ended => return Ok(()),
-        started => started?,
+        Err(error) => {
+            if config.log_json {
+                // The caller prints the error as plain text, which a program that collects JSON lines does not read.
+                tracing::error!(%error, "not started");
+            }
+            return Err(error);
+        }
+        Ok(server) => server,
     };
     wait(&mut signals);
     server.stop()
