@@ -26,9 +26,12 @@ impl Turn {
     /// It is that of a constant bandwidth server (Abeni and Buttazzo, "Integrating multimedia applications in hard real-time
     /// systems", IEEE Real-Time Systems Symposium, 1998) with a period of `SPACING`: at least that much after the one by
     /// which the vehicle's last served request was ordered. A vehicle that asks at most once in this time keeps its deadlines.
+    /// One that the longest deferral does not reach was of a request with a longer budget, and does not count.
     pub(crate) fn ordering_deadline(self, deadline: Instant) -> Instant {
-        let next = self.deadline.map_or(deadline, |last| last + SPACING);
-        next.clamp(deadline, deadline + LONGEST_DEFERRAL)
+        let latest = deadline + LONGEST_DEFERRAL;
+        let last = self.deadline.filter(|last| *last <= latest);
+        let next = last.map_or(deadline, |last| last + SPACING);
+        next.clamp(deadline, latest)
     }
 }
 
@@ -88,6 +91,23 @@ mod tests {
             let ordered = served.turn("a").ordering_deadline(deadline);
             assert_eq!(ordered, deadline);
             served.note("a".to_owned(), ordered);
+        }
+    }
+
+    #[test]
+    fn a_flood_is_deferred_and_a_vehicle_that_lowers_its_budget_is_not() {
+        let (start, mut served) = (Instant::now(), Served::default());
+        let budget = Duration::from_millis(16);
+        served.note("a".to_owned(), start + Duration::from_secs(2));
+        let lowered = start + 2 * budget;
+        assert_eq!(served.turn("a").ordering_deadline(lowered), lowered);
+        // Requests that come every millisecond are ordered 4 ms apart, until they are deferred by the longest time.
+        for request in 1..=200 {
+            let deadline = start + Duration::from_millis(request) + budget;
+            let ordered = served.turn("flood").ordering_deadline(deadline);
+            let deferral = Duration::from_millis(3 * (request - 1)).min(LONGEST_DEFERRAL);
+            assert_eq!(ordered, deadline + deferral);
+            served.note("flood".to_owned(), ordered);
         }
     }
 
