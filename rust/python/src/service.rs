@@ -9,14 +9,14 @@ use std::time::{Duration, Instant};
 
 use egp_core::Settings;
 use egp_engine::EngineWorkspace;
-use egp_service::{Fetched, ServiceConfig, Wanted};
+use egp_service::{Fetched, ServiceConfig, Wanted, catch_step};
 use egp_wire::{Ready, Timing, WireError};
 use pyo3::exceptions::{PyKeyboardInterrupt, PySystemExit};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 
 use crate::array::{NewVector, Vector, vector};
-use crate::driver::{Decision, driver_config, measurement, time};
+use crate::driver::{Decision, driver_config, measurement, within};
 use crate::error::{InvalidArgumentError, RefusedError, raise};
 use crate::parameters::VehicleParameters;
 use crate::text::list;
@@ -32,7 +32,7 @@ use crate::text::list;
 #[pyclass(module = "egp_service._core", frozen)]
 pub struct Engine {
     inner: egp_engine::Engine,
-    workspace: Mutex<EngineWorkspace>,
+    workspace: Mutex<Option<EngineWorkspace>>,
     served: Ready,
 }
 
@@ -43,12 +43,11 @@ fn refused(error: &WireError) -> PyErr {
 impl Engine {
     fn answer(&self, request: &[u8]) -> Result<Vec<u8>, WireError> {
         let mut reply = Vec::new();
-        // A lock that a panic poisoned can be used, because a step overwrites all numbers before it reads them.
         let mut workspace = self
             .workspace
             .lock()
             .unwrap_or_else(PoisonError::into_inner);
-        self.inner.step(&mut workspace, request, &mut reply)?;
+        catch_step(&self.inner, &mut workspace, request, &mut reply, || ())?;
         Ok(reply)
     }
 }
@@ -72,7 +71,7 @@ impl Engine {
             let served = engine.describe();
             Ok(Self {
                 inner: engine,
-                workspace: Mutex::new(workspace),
+                workspace: Mutex::new(Some(workspace)),
                 served,
             })
         })
@@ -186,9 +185,8 @@ impl InProcessDriver {
         widths: Option<&Bound<'_, PyAny>>,
         road_friction: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Decision> {
-        let budget = time(budget)?;
-        let measurement = measurement(x, reference, widths, road_friction)
-            .inspect_err(|_| self.driver.skip_period())?;
+        let given = within(budget, || measurement(x, reference, widths, road_friction));
+        let (budget, measurement) = given.inspect_err(|_| self.driver.skip_period())?;
         let (driver, engine) = (&mut self.driver, self.engine.get());
         let step = py.detach(|| {
             driver.step(measurement, budget, |request| {

@@ -65,3 +65,4 @@ pub use serve::{Checked, ServeError, check, serve};
 pub use server::Server;
 pub use signature::SignatureError;
 pub use start_error::StartError;
+pub use worker::catch_step;

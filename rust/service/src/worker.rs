@@ -110,24 +110,41 @@ impl<W> Worker<W> {
         handler: &H,
         begun: &Begun<Q>,
     ) -> Result<Status, WireError> {
-        let mut workspace = match self.workspace.take() {
-            Some(workspace) => workspace,
-            None => handler.workspace()?,
-        };
         let (request, reply) = (begun.job.query.payload(), &mut self.reply);
-        let step = AssertUnwindSafe(|| {
-            let ended = handler.step(&mut workspace, &request, reply);
-            (ended, workspace)
-        });
-        if let Ok((ended, workspace)) = catch_unwind(step) {
-            self.workspace = Some(workspace);
-            return ended;
-        }
-        shared.metrics.panicked();
-        tracing::error!("a control step panicked; its workspace is replaced");
-        let detail = "the control step failed by a defect of the service; please report it";
-        Err(WireError::permanent(Code::Internal, detail))
+        catch_step(handler, &mut self.workspace, &request, reply, || {
+            shared.metrics.panicked();
+            tracing::error!("a control step panicked; its workspace is replaced");
+        })
     }
+}
+
+/// Computes one step in the workspace, or in a new one if there is none. A panic becomes an error, and the workspace, which may
+/// be half-written, is removed; `panicked` is called then.
+///
+/// # Errors
+/// [`WireError`] of the step or of a new workspace, and [`Code::Internal`] after a panic.
+pub fn catch_step<H: Handler>(
+    handler: &H,
+    memory: &mut Option<H::Workspace>,
+    request: &[u8],
+    reply: &mut Vec<u8>,
+    panicked: impl FnOnce(),
+) -> Result<Status, WireError> {
+    let mut workspace = match memory.take() {
+        Some(workspace) => workspace,
+        None => handler.workspace()?,
+    };
+    let step = AssertUnwindSafe(|| {
+        let ended = handler.step(&mut workspace, request, reply);
+        (ended, workspace)
+    });
+    if let Ok((ended, workspace)) = catch_unwind(step) {
+        *memory = Some(workspace);
+        return ended;
+    }
+    panicked();
+    let detail = "the control step failed by a defect of the service; please report it";
+    Err(WireError::permanent(Code::Internal, detail))
 }
 
 #[cfg(test)]
