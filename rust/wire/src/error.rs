@@ -122,7 +122,8 @@ impl WireError {
         .encode_to_vec()
     }
 
-    /// Reads an `egp.v1.Error`. A code that this version does not have becomes [`Code::Unspecified`].
+    /// Reads an `egp.v1.Error`. A code that this version does not have becomes [`Code::Unspecified`], and control characters are
+    /// replaced.
     ///
     /// # Errors
     /// [`Invalid`] if the bytes are not such a message.
@@ -132,10 +133,15 @@ impl WireError {
             code: error.code(),
             retryable: error.retryable,
             retry_after_us: error.retry_after_us,
-            field: error.field,
-            detail: error.detail,
+            field: printable(&error.field),
+            detail: printable(&error.detail),
         })
     }
+}
+
+/// A text of another program with U+FFFD in place of control characters, which would command the terminal that shows it.
+pub(crate) fn printable(text: &str) -> String {
+    text.replace(char::is_control, "\u{fffd}")
 }
 
 impl From<Invalid> for WireError {

@@ -3,6 +3,7 @@
 use egp_parameters::VehicleParameters;
 use prost::Message as _;
 
+use crate::error::printable;
 use crate::proto::{self, VehicleParameters as VehicleMessage};
 use crate::{GpInput, Invalid, LibraryId, MessageLimits, VERSION, check};
 
@@ -15,13 +16,13 @@ pub struct Ready {
     pub library: LibraryId,
     /// Further libraries that are served to requests that state them, at most [`Ready::MAX_OTHERS`].
     pub others: Vec<LibraryId>,
-    /// Control period, s.
+    /// Control period, s, from 1e-4 to 1.
     pub dt: f64,
     /// Inputs in a plan, T.
     pub horizon: u32,
     /// Largest useful number of transitions in a request, K.
     pub history: u32,
-    /// The members' surfaces, in the order of the weights.
+    /// The members' surfaces, in the order of the weights. [`Ready::decode`] replaces control characters.
     pub members: Vec<String>,
     /// Smallest and largest GP input `[v_x, v_y, omega, delta, F_x, delta_dot]` in the members' training data.
     pub envelope: [GpInput; 2],
@@ -73,10 +74,10 @@ impl Ready {
         check::size(bytes, limits.message_bytes)?;
         let raw = proto::Ready::decode(bytes)?;
         check::version(raw.version)?;
-        if !(raw.dt > 0.0 && raw.dt <= 1.0) {
+        if !(1e-4..=1.0).contains(&raw.dt) {
             return Err(Invalid::field(
                 "dt",
-                format!("expected seconds in (0, 1], got {}", raw.dt),
+                format!("expected seconds from 1e-4 to 1, got {}", raw.dt),
             ));
         }
         check::count("horizon", raw.horizon as usize, limits.horizon)?;
@@ -101,7 +102,7 @@ impl Ready {
             dt: raw.dt,
             horizon: raw.horizon,
             history: raw.history,
-            members: raw.members,
+            members: raw.members.iter().map(|name| printable(name)).collect(),
             envelope: envelope(raw.envelope)?,
             vehicle: raw.vehicle.as_ref().map(vehicle_from_proto).transpose()?,
         })

@@ -135,7 +135,7 @@ fn an_accepted_description_of_a_replica_is_in_its_domain_and_encodes_to_itself()
         let Ok(ready) = Ready::decode(&bytes, &limits) else {
             return;
         };
-        assert!(ready.dt > 0.0 && ready.dt <= 1.0);
+        assert!((1e-4..=1.0).contains(&ready.dt));
         assert!(ready.horizon as usize <= limits.horizon);
         assert!(ready.history as usize <= limits.history);
         assert_eq!(Ready::decode(&ready.encode(), &limits).unwrap(), ready);

@@ -137,7 +137,12 @@ fn a_replica_is_described_within_the_limits_of_the_client() {
         };
         assert_eq!(decode(&ready).unwrap(), ready);
     }
-    for dt in [0.0, -0.05, 1.0 + 1e-9, f64::NAN, f64::INFINITY] {
+    let hostile = Ready {
+        members: vec!["ice\u{1b}[31m".to_owned()],
+        ..messages::ready()
+    };
+    assert_eq!(decode(&hostile).unwrap().members, ["ice\u{fffd}[31m"]);
+    for dt in [0.0, -0.05, 1e-4 - 1e-9, 1.0 + 1e-9, f64::NAN, f64::INFINITY] {
         let ready = Ready {
             dt,
             ..messages::ready()

@@ -190,6 +190,15 @@ fn an_error_says_whether_to_try_again_and_where_it_was() {
     assert_eq!((later.retryable, later.retry_after_us), (true, 500));
     assert_eq!(later.to_string(), "the queue is full");
     assert_eq!(WireError::decode(&later.encode()).unwrap(), later);
+    let hostile = WireError {
+        field: "x\r".to_owned(),
+        detail: "é \u{1b}[2J\nservice: ready\u{9b}\u{7f}".to_owned(),
+        ..later
+    };
+    let shown = WireError::decode(&hostile.encode()).unwrap();
+    let (field, detail) = (shown.field.as_str(), shown.detail.as_str());
+    let expected = "é \u{fffd}[2J\u{fffd}service: ready\u{fffd}\u{fffd}";
+    assert_eq!((field, detail), ("x\u{fffd}", expected));
     let never = WireError::permanent(Code::UnknownLibrary, "ask for another");
     assert_eq!((never.retryable, never.retry_after_us), (false, 0));
 
