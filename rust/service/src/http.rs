@@ -29,6 +29,9 @@ use crate::start_error::StartError;
 /// How long a connection may last.
 const PATIENCE: Duration = Duration::from_secs(2);
 
+/// Longest request line with its headers, bytes. hyper's default is 400 kB for each connection.
+const LONGEST_HEAD: usize = 16 * 1024;
+
 /// Connections at a time; a further one closes the oldest.
 const CONNECTIONS: usize = 256;
 
@@ -146,6 +149,7 @@ async fn converse(stream: TcpStream, pages: Arc<dyn Pages>) {
     });
     let answered = http1::Builder::new()
         .keep_alive(false)
+        .max_buf_size(LONGEST_HEAD)
         .serve_connection(TokioIo::new(stream), answer);
     match time::timeout(PATIENCE, answered).await {
         Ok(Ok(())) => {}
@@ -201,10 +205,40 @@ fn page(pages: &dyn Pages, path: &str) -> (StatusCode, &'static str, String) {
 #[allow(clippy::unwrap_used)]
 mod tests {
     use std::future::pending;
+    use std::io::{Read as _, Write as _};
 
     use tokio::task::JoinHandle;
 
     use super::*;
+
+    struct Empty;
+
+    impl Pages for Empty {
+        fn not_ready(&self) -> Option<&'static str> {
+            None
+        }
+
+        fn metrics(&self) -> String {
+            String::new()
+        }
+    }
+
+    #[test]
+    fn a_head_has_at_most_sixteen_kilobytes() {
+        let listener = HttpListener::bind(([127, 0, 0, 1], 0).into()).unwrap();
+        let address = listener.0.local_addr().unwrap();
+        let _endpoint = listener.answer(Arc::new(Empty)).unwrap();
+        let answer = |bytes: usize| {
+            let mut stream = std::net::TcpStream::connect(address).unwrap();
+            let header = "a".repeat(bytes);
+            write!(stream, "GET /health HTTP/1.1\r\nx: {header}\r\n\r\n").unwrap();
+            let mut status = [0; 12];
+            stream.read_exact(&mut status).unwrap();
+            String::from_utf8_lossy(&status).into_owned()
+        };
+        assert_eq!(answer(8_000), "HTTP/1.1 200");
+        assert_eq!(answer(17_000), "HTTP/1.1 431");
+    }
 
     #[test]
     fn connections_that_have_ended_close_no_other_one() {
