@@ -270,12 +270,13 @@ impl VehicleClient {
                 EventKind::Replied(id, ..) => traces.replied(at, *id),
                 EventKind::Refused(id, error) => traces.refused(at, *id, error),
                 EventKind::Ended(id) => traces.ended(at, *id),
-                EventKind::Appeared(_) | EventKind::Gone(_) => {}
+                EventKind::Appeared(_) | EventKind::Gone(_) | EventKind::Unknown(_) => {}
             }
         }
         match event.kind {
             EventKind::Appeared(replica) => self.driver.replica_appeared(at, replica),
             EventKind::Gone(replica) => self.driver.replica_gone(at, &replica),
+            EventKind::Unknown(_) => {}
             EventKind::Replied(id, payload, attachment) => {
                 self.driver.replied(at, id, &payload, &attachment);
             }

@@ -24,6 +24,8 @@ pub(crate) struct Event {
 pub(crate) enum EventKind {
     Appeared(Name),
     Gone(Name),
+    /// The question whether a replica is still there, after its loss was reported, had no answer.
+    Unknown(Name),
     /// A reply's payload and attachment; the latter is empty if there is none.
     Replied(QueryId, Vec<u8>, Vec<u8>),
     /// Payload of an error reply.
@@ -118,7 +120,7 @@ impl Network {
     pub(crate) fn next(&self, patience: Duration) -> Option<Event> {
         // The channel is never closed, because `self` holds a sender.
         let event = self.events.recv_timeout(patience).ok()?;
-        if let EventKind::Gone(replica) = &event.kind {
+        if let EventKind::Gone(replica) | EventKind::Unknown(replica) = &event.kind {
             self.look_again(replica);
         }
         Some(event)
@@ -137,9 +139,15 @@ impl Network {
             .get(keys::live(&replica))
             .timeout(PATIENCE)
             .callback(move |reply| {
-                if reply.result().is_ok() {
-                    report(&out, EventKind::Appeared(replica.clone()));
-                }
+                let replica = replica.clone();
+                // An error is that of the time-out. `next` then asks again.
+                report(
+                    &out,
+                    match reply.result() {
+                        Ok(_) => EventKind::Appeared(replica),
+                        Err(_) => EventKind::Unknown(replica),
+                    },
+                );
             })
             .wait();
     }
@@ -291,6 +299,11 @@ mod tests {
                 .next(Duration::from_secs(10))
                 .map(|event| event.kind)
         };
+        assert!(matches!(next(), Some(EventKind::Appeared(_))));
+
+        // The question after a silence is asked again, too.
+        report(&network.sender, EventKind::Unknown(replica.clone()));
+        assert!(matches!(next(), Some(EventKind::Unknown(_))));
         assert!(matches!(next(), Some(EventKind::Appeared(_))));
 
         report(&network.sender, EventKind::Gone(replica));

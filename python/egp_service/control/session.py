@@ -133,8 +133,15 @@ def zenoh_reason(error: Exception) -> str:
     return _PLACE.sub("", str(error)).rstrip(".; ")
 
 
-def look_again(session: zenoh.Session, key: str, on_token: Callable[[zenoh.Sample], None]) -> None:
+def look_again(
+    session: zenoh.Session,
+    key: str,
+    on_token: Callable[[zenoh.Sample], None],
+    on_silence: Callable[[], None],
+) -> None:
     """After the loss of the liveliness token `key`, call `on_token` with it if it exists.
+
+    If there is no answer in time, `on_silence` is called, which should lead to another call.
 
     zenoh reports in a thread for each link. When a replica changes to another router, its loss by
     the first one may be reported after its announcement by the second one, and nothing follows.
@@ -143,6 +150,8 @@ def look_again(session: zenoh.Session, key: str, on_token: Callable[[zenoh.Sampl
     def deliver(reply: zenoh.Reply) -> None:
         if reply.ok is not None:
             on_token(reply.ok)
+        else:
+            on_silence()
 
     # A closed session has no tokens.
     with contextlib.suppress(zenoh.ZError):

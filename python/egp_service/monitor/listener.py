@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from functools import partial
 from typing import TYPE_CHECKING, Final, Self
 
 import zenoh
@@ -146,9 +147,14 @@ class Listener:
         def note(fleet: Fleet) -> None:
             fleet.token(replica, now, appeared=appeared)
             if not appeared:
-                look_again(self._session, LIVE_KEYS.replace("*", replica), self._on_token)
+                self._look_again(replica)
 
         self._put(note)
+
+    def _look_again(self, replica: str) -> None:
+        key = LIVE_KEYS.replace("*", replica)
+        silence = partial(self._put, lambda _: self._look_again(replica))
+        look_again(self._session, key, self._on_token, silence)
 
     def _ask_road(self, name: str) -> None:
         fleet_name, _, vehicle = name.partition("/")
