@@ -243,9 +243,28 @@ def test_names_of_a_publication_are_checked(controller: Controller) -> None:
 def test_a_deadline_that_is_over_still_gives_a_plan(controller: Controller) -> None:
     for deadline in (0.0, -1.0):
         assert step(controller, deadline).mode == "normal"
+    before = decode_request(step(controller).request).sequence
     for deadline in (NAN, INF):
         with pytest.raises(InvalidArgumentError, match="finite deadline"):
             step(controller, deadline)
+    assert decode_request(step(controller).request).sequence == before + 3, "each period counts"
+
+
+def test_a_period_whose_deadline_cannot_be_used_counts(controller: Controller) -> None:
+    driver = described_driver(controller)
+    s = 15.0 * controller.dt * np.arange(controller.horizon + 1)
+    reference = np.column_stack([s, 0 * s, 0 * s + 15.0, 0 * s])
+    sequences = []
+    for period, deadline in enumerate([0.016, NAN, INF, 0.076]):
+        try:
+            driver.tick(0.02 * period, deadline, X, reference)
+        except InvalidArgumentError as error:
+            assert "finite deadline" in str(error)
+            continue
+        query = driver.next_action()
+        assert isinstance(query, Query)
+        sequences.append(decode_request(query.payload).sequence)
+    assert sequences == [1, 4]
 
 
 def test_a_closed_controller_takes_no_step() -> None:

@@ -145,9 +145,9 @@ def test_closing_a_cut_link_does_not_replace_an_exception(
         def __getattr__(self, name: str) -> Any:  # noqa: ANN401
             return getattr(self._driver, name)
 
-        def finish_traces(self) -> int:
+        def finish_traces(self) -> tuple[int, str | None]:
             finished.append("traces")
-            return int(self._driver.finish_traces())
+            return 0, None
 
     client = VehicleClient.connect(service.endpoint, gate=GATE)
     session = client._network.session  # noqa: SLF001

@@ -9,6 +9,7 @@ import time
 import warnings
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Self
@@ -206,11 +207,12 @@ class VehicleClient(StepController):
         try:
             self._network.close()
         finally:
-            lost = self._driver.finish_traces()
+            lost, reason = self._driver.finish_traces()
         if lost:
             warnings.warn(
-                f"{self._traces}: {lost} spans of traces could not be written, so that the traces "
-                "of some steps are incomplete; make room on the disk, or choose another file",
+                f"{self._traces}: {lost} spans of traces could not be written "
+                f"({reason or 'too many waited'}), so that the traces of some steps are "
+                "incomplete; make room on the disk, or choose another file",
                 LostTracesWarning,
                 stacklevel=2,
             )
@@ -253,8 +255,14 @@ class Network:
         """Return the next event, or None if there is none within `patience` seconds."""
         event = self._inbox.get(patience)
         if isinstance(event, Announcement) and not event.appeared:
-            look_again(self.session, LIVE_KEYS.replace("*", event.replica), self._on_token)
+            self._look_again(event.replica)
         return event
+
+    def _look_again(self, replica: str) -> None:
+        key = LIVE_KEYS.replace("*", replica)
+        # A thread of zenoh finds the silence, and the one that handles events asks again.
+        silence = partial(self._inbox.put, lambda _: self._look_again(replica))
+        look_again(self.session, key, self._on_token, silence)
 
     def ask(self, query: Query) -> None:
         """Send a query, whose answers become events; one that cannot be sent ends immediately."""

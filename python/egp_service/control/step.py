@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final, Literal, Self, TypeAlias
 
 import numpy as np
 
-from egp_service._core import EgpError, Friction, InvalidArgumentError
+from egp_service._core import EgpError, Friction
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -256,13 +256,12 @@ class StepController(ABC):
 
         """
         start = time.monotonic()
-        if deadline is not None and not math.isfinite(deadline):
-            raise InvalidArgumentError(f"expected a finite deadline in s, got {deadline}")
         with self._lock:
             if self._closed:
                 raise EgpError("the controller was closed: make another one")
-            budget = self._driver.budget if deadline is None else max(deadline, 0.0)
-            budget = min(budget, _LONGEST)
+            budget = self._driver.budget if deadline is None else deadline
+            if math.isfinite(budget):
+                budget = min(max(budget, 0.0), _LONGEST)
             if self._stepping:
                 raise EgpError(
                     "this thread is within a step of this controller, which a signal interrupts; "

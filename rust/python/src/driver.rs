@@ -214,6 +214,18 @@ pub fn time(seconds: f64) -> PyResult<Duration> {
     Duration::try_from_secs_f64(seconds).map_err(|_| InvalidArgumentError::new_err(reason()))
 }
 
+/// A deadline or budget in s as a time, together with what is measured.
+pub fn within(
+    deadline: f64,
+    measured: impl FnOnce() -> PyResult<Measurement>,
+) -> PyResult<(Duration, Measurement)> {
+    if !deadline.is_finite() {
+        let reason = format!("expected a finite deadline in s, got {deadline}");
+        return Err(InvalidArgumentError::new_err(reason));
+    }
+    Ok((time(deadline)?, measured()?))
+}
+
 /// Decides for one vehicle which replica to ask, how long to wait, and which replies to use.
 ///
 /// A state machine without clock, network or threads: it is told each event with the time in s of a clock that does not
@@ -287,9 +299,9 @@ impl Driver {
         widths: Option<&Bound<'_, PyAny>>,
         road_friction: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<()> {
-        let (now, deadline) = (time(now)?, time(deadline)?);
-        let measurement = measurement(x, reference, widths, road_friction)
-            .inspect_err(|_| self.0.skip_period(now))?;
+        let now = time(now)?;
+        let given = within(deadline, || measurement(x, reference, widths, road_friction));
+        let (deadline, measurement) = given.inspect_err(|_| self.0.skip_period(now))?;
         if let Some(traces) = &mut self.1 {
             traces.began(now);
         }
@@ -378,9 +390,11 @@ impl Driver {
         })
     }
 
-    /// Write the spans that wait and no more, and return how many could not be written.
-    fn finish_traces(&mut self, py: Python<'_>) -> u64 {
-        self.1.take().map_or(0, |traces| traces.finish(py))
+    /// Write the spans that wait and no more, and return how many could not be written, and the system's error, if one was
+    /// the reason.
+    fn finish_traces(&mut self, py: Python<'_>) -> (u64, Option<String>) {
+        let traces = self.1.take();
+        traces.map_or((0, None), |traces| traces.finish(py))
     }
 
     /// Seconds that an answer may take unless a period states its deadline.

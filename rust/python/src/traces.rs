@@ -54,10 +54,10 @@ impl Tracing {
         }
     }
 
-    /// Writes what waits, and returns how many spans could not be written.
-    pub fn finish(self, py: Python<'_>) -> u64 {
+    /// Writes what waits, and returns how many spans could not be written, and the system's error, if one was the reason.
+    pub fn finish(self, py: Python<'_>) -> (u64, Option<String>) {
         let counts = self.steps.counts();
         py.detach(|| drop(self.steps));
-        counts.dropped() + counts.failed()
+        (counts.dropped() + counts.failed(), counts.last_error())
     }
 }
