@@ -208,10 +208,23 @@ fn report(
     }
     if let Some(path) = &arguments.json {
         let json = serde_json::to_vec_pretty(result)?;
-        fs::write(path, json).map_err(|error| unwritten(path, &error))?;
+        write_report(path, &json).map_err(|error| unwritten(path, &error))?;
     }
     print_line(result)?;
     Ok(())
+}
+
+/// Writes a report beside the file and then in its place, so that an earlier one stays if it cannot be written. What is no
+/// regular file, such as a pipe, is written itself.
+fn write_report(path: &Path, json: &[u8]) -> io::Result<()> {
+    if fs::metadata(path).is_ok_and(|found| !found.is_file()) {
+        return fs::write(path, json);
+    }
+    let path = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+    let mut beside = path.clone().into_os_string();
+    beside.push(format!(".{}.part", std::process::id()));
+    let written = fs::write(&beside, json).and_then(|()| fs::rename(&beside, path));
+    written.inspect_err(|_| drop(fs::remove_file(&beside)))
 }
 
 fn unwritten(path: &Path, error: &io::Error) -> String {
@@ -298,6 +311,25 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_report_that_cannot_be_written_leaves_the_earlier_one() {
+        let name = format!("egp-load-report-{}", std::process::id());
+        let folder = std::env::temp_dir().join(name);
+        let path = folder.join("report.json");
+        fs::create_dir_all(&folder).unwrap();
+        write_report(&path, b"old").unwrap();
+        // A folder has the name of the new bytes.
+        let beside = format!("report.json.{}.part", std::process::id());
+        fs::create_dir(folder.join(&beside)).unwrap();
+        write_report(&path, b"new").unwrap_err();
+        assert_eq!(fs::read(&path).unwrap(), b"old");
+        fs::remove_dir(folder.join(&beside)).unwrap();
+        write_report(&path, b"new").unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"new");
+        assert_eq!(fs::read_dir(&folder).unwrap().count(), 1);
+        fs::remove_dir_all(&folder).unwrap();
+    }
 
     #[test]
     fn a_time_is_rounded_up_to_whole_periods() {

@@ -34,14 +34,20 @@ impl<'a> Replay<'a> {
     /// Connects, and prepares the requests: each gets the budget of the arguments.
     ///
     /// # Errors
-    /// A message if no replica can be reached, the replicas do not fit the recording ([`recording::UnfitRecording`]), or the
+    /// A message if no replica says what it serves, those that do do not fit the recording ([`recording::UnfitRecording`]), or the
     /// budget is below 1 us.
     pub(crate) fn new(arguments: &'a Arguments, recorded: Vec<Request>) -> Result<Self, Failure> {
         let first = session(arguments, 0)?;
-        let replicas = live(&first)?;
-        let described = (replicas.iter())
-            .map(|replica| Ok((replica.clone(), ready(&first, replica)?)))
-            .collect::<Result<Vec<_>, Failure>>()?;
+        let mut described = Vec::new();
+        for replica in live(&first)? {
+            match ready(&first, &replica) {
+                Ok(ready) => described.push((replica, ready)),
+                Err(error) => eprintln!("egp-load: {error}, and gets no requests"),
+            }
+        }
+        if described.is_empty() {
+            return Err("no replica says what it serves; start one that does".into());
+        }
         let period = Duration::try_from_secs_f64(recording::period(&described, &recorded)?)?;
         let budget = period.mul_f64(arguments.budget);
         let budget_us = u32::try_from(budget.as_micros())?;
@@ -61,7 +67,7 @@ impl<'a> Replay<'a> {
         Ok(Self {
             arguments,
             requests: recorded.into_iter().map(encode).collect(),
-            replicas,
+            replicas: described.into_iter().map(|(name, _)| name).collect(),
             sessions: vec![first],
             period,
             budget,
@@ -188,10 +194,8 @@ fn ready(session: &Session, replica: &Name) -> Result<Ready, Failure> {
         .ok()
         .and_then(|reply| reply.into_result().ok());
     let sample = answer.ok_or_else(|| format!("replica {replica} does not say what it serves"))?;
-    Ok(Ready::decode(
-        &sample.payload().to_bytes(),
-        &MessageLimits::default(),
-    )?)
+    let ready = Ready::decode(&sample.payload().to_bytes(), &MessageLimits::default());
+    Ok(ready.map_err(|error| format!("replica {replica} says what cannot be used: {error}"))?)
 }
 
 /// Sends a request; `sent` counts its answer.
