@@ -150,6 +150,9 @@ impl RoadBelief {
     pub fn set_window(&mut self, window: usize) -> Result<(), BeliefError> {
         check_window(window)?;
         if window != self.settings.window {
+            if let Some(reported) = &mut self.reported {
+                reported.end_windows(self.settings.window);
+            }
             self.settings.window = window;
             self.leave();
         }
@@ -229,16 +232,8 @@ impl RoadBelief {
 
     /// Whether the vehicle is farther from its last place than it can drive in a period.
     fn jumped(&self, s: f64) -> bool {
-        let Some(last) = self.track.back() else {
-            return false;
-        };
-        let driven = (s - last).abs();
-        let around = if self.closed() {
-            self.length() - driven
-        } else {
-            f64::INFINITY
-        };
-        driven.min(around) > JUMP
+        let last = self.track.back();
+        last.is_some_and(|last| (s - self.near(*last, s)).abs() > JUMP)
     }
 
     /// Forgets where the vehicle was, for instance after it was moved; what was stored remains.

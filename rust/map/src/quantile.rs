@@ -10,7 +10,7 @@ impl RoadBelief {
     /// ([`crate::BeliefSettings::commitment`]).
     ///
     /// # Errors
-    /// [`BeliefError`] unless `start` is an arc length, the places cover at most 10 km, and `risk` is in (0, 1).
+    /// [`BeliefError`] unless `start` is an arc length within ±1e9 m, the places cover at most 10 km, and `risk` is in (0, 1).
     pub fn ahead(
         &mut self,
         start: f64,
@@ -43,7 +43,7 @@ impl RoadBelief {
     /// The friction below which that at `s` lies with the probability `share`, without regard to patches.
     ///
     /// # Errors
-    /// [`BeliefError`] unless `s` is finite and `share` in (0, 1).
+    /// [`BeliefError`] unless `s` is an arc length within ±1e9 m and `share` in (0, 1).
     pub fn quantile(&mut self, s: f64, share: f64) -> Result<f64, BeliefError> {
         probability("share", share)?;
         place("s", s)?;

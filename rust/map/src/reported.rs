@@ -54,6 +54,13 @@ impl Reported {
         }
     }
 
+    /// Adds the windows, of this length, to the odds from before, because later ones have another length.
+    pub fn end_windows(&mut self, window: usize) {
+        let sum: f64 = self.windows.drain(..).sum();
+        self.past = (self.past + sum / window as f64).clamp(-MOST_LOG_ODDS, MOST_LOG_ODDS);
+        self.present = self.past;
+    }
+
     /// Probability that the reports describe the road.
     pub fn trust(&self) -> f64 {
         1.0 / (1.0 + (-self.present).exp())

@@ -126,6 +126,22 @@ fn another_window_is_that_of_a_new_belief_and_the_same_one_changes_nothing() {
 }
 
 #[test]
+fn a_jump_of_more_than_a_lap_is_found_on_a_place_that_is_unwrapped() {
+    // A jump of 200 m, with and without a further lap, forgets where the vehicle was.
+    let after = |jump: f64| {
+        let mut belief = belief();
+        drive(&mut belief, 10.0, 20.0, |_| None);
+        for period in 0..4 {
+            let s = 20.0 + jump + 0.2 * f64::from(period);
+            belief.update(s, Some(&evidence(0.3))).unwrap();
+        }
+        belief.to_bytes().unwrap()
+    };
+    assert_eq!(after(200.0), belief().to_bytes().unwrap());
+    assert_eq!(after(200.0 + LENGTH), after(200.0));
+}
+
+#[test]
 fn new_evidence_contradicts_old() {
     let mut belief = belief();
     drive(&mut belief, 0.0, 20.0 * LENGTH, |_| Some(evidence(1.0)));

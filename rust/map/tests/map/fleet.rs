@@ -240,6 +240,28 @@ fn trust_follows_what_is_measured() {
 }
 
 #[test]
+fn windows_of_an_earlier_length_count_by_it() {
+    let mut belief = belief();
+    belief.report(0, &found(0.5)).unwrap();
+    let mut s = 0.0;
+    let mut update = |belief: &mut RoadBelief, found: Option<[f64; FRICTION_HYPOTHESES]>| {
+        s += 0.2;
+        belief.update(s, found.as_ref()).unwrap();
+    };
+    for period in 0..36 {
+        update(&mut belief, (period > 25).then(|| evidence(0.5)));
+    }
+    belief.set_window(5).unwrap();
+    let trust = belief.trust().unwrap();
+    assert!((0.81..0.98).contains(&trust), "{trust}");
+    // These windows contain no information.
+    for _ in 0..40 {
+        update(&mut belief, Some([0.0; FRICTION_HYPOTHESES]));
+    }
+    assert_eq!(belief.trust(), Some(trust));
+}
+
+#[test]
 fn tiles_read_back_and_other_bytes_are_errors() {
     let tile = found(0.7);
     assert_eq!(Tile::from_bytes(tile.bytes()).unwrap(), tile);
