@@ -177,7 +177,7 @@ class Path:
     ]:
         """Return x, y, yaw, curvature, left, right, friction at arc lengths (n,), each (n,).
 
-        Yaw lies in (-pi, pi]; left and right are infinite on a path without widths.
+        Yaw lies in [-pi, pi]; left and right are infinite on a path without widths.
 
         Raises:
             InvalidArgumentError: for an arc length that is not finite.
@@ -202,7 +202,7 @@ class Projection:
         """The nearest point's y."""
     @property
     def yaw(self) -> float:
-        """The path's direction, in (-pi, pi]."""
+        """The path's direction, in [-pi, pi]."""
     @property
     def curvature(self) -> float:
         """Curvature in 1/m, positive in left turns."""

@@ -80,7 +80,7 @@ pub struct Surface {
     /// Force across the wheel.
     pub lateral: ForceCurve,
     /// Factor on the lateral force that a wheel with camber has without slip, within [`Surface::SHIFT`]: Pacejka's
-    /// `lambda_Vy lambda'_muy` in the vertical shift `S_Vy` (*Tire and Vehicle Dynamics*, 3rd ed., eq. 4.E38).
+    /// `lambda_Vy lambda'_muy` in the vertical shift `S_Vy` (*Tire and Vehicle Dynamics*, 3rd ed., eq. 4.E29).
     pub shift: f64,
 }
 

@@ -37,7 +37,7 @@ pub struct Sample {
     pub x: f64,
     /// Position in m.
     pub y: f64,
-    /// Direction of travel in rad, in `(-pi, pi]`.
+    /// Direction of travel in rad, in `[-pi, pi]`.
     pub yaw: f64,
     /// Curvature in 1/m, positive in left turns.
     pub curvature: f64,

@@ -35,8 +35,8 @@ pub struct OperatingSettings {
     pub yaw_at: f64,
 }
 
-/// Weights of the quadratic cost; every term is `½ weight · error²`. Those of states and `terminal`, `proximal` are at most
-/// 1e5: with 1e9 many problems have no solution that passes the check.
+/// Weights of the quadratic cost; every term is `½ weight · error²`. Those of states and `proximal` are at most 1e5, and
+/// `terminal` at most 1e3: with 1e9 many problems have no solution that passes the check.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields, expecting = "a table")]
 pub struct Cost {

@@ -25,7 +25,8 @@ pub struct WeightSettings {
     /// Prior on the change of the weights. Default quadratic with lambda 100.
     pub prior: Prior,
     /// Members with at most this weight are not evaluated in the control model. The other weights are scaled to sum to 1,
-    /// and the weight that was left out is in the reply. Weights never become zero by themselves. Default 1e-3.
+    /// and the weight that was left out is in the reply. Weights of exactly zero are those at the border of the simplex.
+    /// Default 1e-3.
     pub threshold: f64,
     /// At most this many members are evaluated in the control model, the heaviest first. Default 8.
     pub max_active: usize,
