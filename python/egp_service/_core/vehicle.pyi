@@ -3,6 +3,7 @@
 from typing import final
 
 GRAVITY: float  # of all vehicle models, m/s²
+MIN_SLIP_SPEED: float  # m/s; slip angles are computed with at least this speed
 STANDARD_GRAVITY: float  # of speed profiles, and the unit "g" of logs, m/s²
 
 @final

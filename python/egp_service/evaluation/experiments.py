@@ -41,7 +41,7 @@ REPLAYED: Final = (unknown_roads.FIRST, unknown_roads.LATER, fleet_roads.FLEET)
 """Experiments whose departures are replayed."""
 # Suffix of conditions without measurement noise.
 EXACT: Final = ", exact sensors"
-HALF_WIDTH: Final = 0.837  # half of the vehicle's width, m
+HALF_WIDTH: Final = VehicleParameters.commonroad(1).width / 2  # m
 
 
 def contenders(members: Sequence[int], labels: Sequence[str]) -> tuple[Contender, ...]:

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any
 import cvxpy as cp
 import numpy as np
 
-from egp_service._core import EgpError
+from egp_service._core import MIN_SLIP_SPEED, EgpError
 from egp_service.quantities import DELTA, NU, NX, OMEGA, PSI, V_X, V_Y
-from egp_service.training.euler import MIN_SLIP_SPEED
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -11,12 +11,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from egp_service._core import GRAVITY
+from egp_service._core import GRAVITY, MIN_SLIP_SPEED
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-MIN_SLIP_SPEED: Final = 3.0  # m/s; slip angles are computed with at least this speed
 _LARGEST_STEP: Final = 1.8  # times the fastest rate
 # Larger rates, 1/s, are those of no car: they come from fits to noise. The simulated car has 82/s.
 _FASTEST: Final = 500.0

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import torch
 
-from egp_service._core import GRAVITY
-from egp_service.training.euler import MIN_SLIP_SPEED
+from egp_service._core import GRAVITY, MIN_SLIP_SPEED
 
 if TYPE_CHECKING:
     import numpy as np

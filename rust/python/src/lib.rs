@@ -156,6 +156,8 @@ mod _core {
         #[pymodule_export]
         const GRAVITY: f64 = egp_parameters::GRAVITY;
         #[pymodule_export]
+        const MIN_SLIP_SPEED: f64 = egp_core::vehicle::MIN_SLIP_SPEED;
+        #[pymodule_export]
         const STANDARD_GRAVITY: f64 = egp_parameters::STANDARD_GRAVITY;
         #[pymodule_export]
         use crate::parameters::VehicleParameters;
