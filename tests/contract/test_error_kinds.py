@@ -55,7 +55,7 @@ def planner() -> SpeedPlanner:
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: RoadBelief(PATH, capacity=-1.0), "positive number for capacity, got -1"),
+        (lambda: RoadBelief(PATH, window=0), "positive number for window, got 0"),
         (lambda: setattr(belief(), "window", 0), "for window, got 0"),
         (lambda: belief().update(NAN), "for s, got NaN"),
         (lambda: belief().ahead([0.0, 1.0], 2.0), "probability in .* got 2"),

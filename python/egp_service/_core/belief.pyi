@@ -16,31 +16,19 @@ FRICTION_HYPOTHESES: tuple[float, ...]
 class RoadBelief:
     """Belief about the friction along a path, from what control steps found in cells of 2 m.
 
-    From cell to cell the friction stays or, on average every `change_distance` m (default 200), is
-    drawn anew from a uniform distribution over 0.1 to 1.3. The vehicle cannot react to what
-    lies less than `commitment` m (45) ahead: with the probability of a change within this distance
-    plans assume that a place is on a patch, about which only evidence measured within 8 m counts.
-    `capacity` is the largest logarithm of a likelihood ratio that a cell keeps (6 nats), `window`
-    the number of transitions from which a step estimates the friction (25), and `indifference` the
-    logarithm of a likelihood ratio up to which a window does not tell coefficients apart (0.25
-    nats).
+    From cell to cell the friction stays or, on average every 200 m, is drawn anew from a uniform
+    distribution over 0.1 to 1.3. The vehicle cannot react to what lies less than 45 m ahead: with
+    the probability of a change within this distance plans assume that a place is on a patch, about
+    which only evidence measured within 8 m counts. A cell keeps logarithms of likelihood ratios up
+    to 6 nats, and a window does not tell coefficients apart whose logarithms differ by up to 0.25
+    nats. `window` is the number of transitions from which a step estimates the friction.
 
     Raises:
-        InvalidArgumentError: unless all these numbers are positive and finite, the window is at
-            most 1000, and the path is 1 m to 1000 km long.
+        InvalidArgumentError: unless the window is 1 to 1000, and the path 1 m to 1000 km long.
 
     """
 
-    def __new__(
-        cls,
-        path: Path,
-        *,
-        change_distance: float | None = None,
-        commitment: float | None = None,
-        capacity: float | None = None,
-        window: int | None = None,
-        indifference: float | None = None,
-    ) -> RoadBelief: ...
+    def __new__(cls, path: Path, *, window: int = 25) -> RoadBelief: ...
     @property
     def window(self) -> int:
         """Number of transitions from which a step estimates the friction, 1 to 1000.

@@ -5,7 +5,7 @@ use std::mem::take;
 
 use egp_parameters::FRICTION_HYPOTHESES;
 
-use crate::belief_error::{BeliefError, at_most, log_likelihood_of_step, place, positive};
+use crate::belief_error::{BeliefError, at_most, log_likelihood_of_step, place};
 use crate::grid::{Grid, Row, interpolate_with_dead_zone, pass_backward, pass_forward};
 use crate::layer::Layer;
 use crate::recent::Recent;
@@ -29,46 +29,31 @@ const SHORTEST: f64 = 1.0;
 const LENGTH: &str = "a length from 1 to 1e6 m";
 /// Distance, m, that no vehicle drives in a control period.
 const JUMP: f64 = 100.0;
+/// Window of a new belief, in transitions.
+const DEFAULT_WINDOW: usize = 25;
 /// Longest window, in transitions.
 const WINDOW: f64 = 1000.0;
 
-/// How a road's friction changes, and how careful the plans are.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct BeliefSettings {
-    /// Mean distance in m between changes of the surface.
-    pub change_distance: f64,
-    /// Distance in m within which the vehicle cannot react to what lies ahead. With the probability that the surface changes
-    /// within this distance, plans assume that a place is on a patch, about which only evidence measured within 8 m counts.
-    pub commitment: f64,
-    /// Largest logarithm of a likelihood ratio that a cell keeps, in nats.
-    pub capacity: f64,
-    /// Number of transitions `K` from which a control step estimates the friction.
-    pub window: usize,
-    /// Logarithm of the likelihood ratio in nats up to which a window does not tell coefficients apart.
-    pub indifference: f64,
-}
-
-impl Default for BeliefSettings {
-    fn default() -> Self {
-        Self {
-            change_distance: 200.0,
-            commitment: 45.0,
-            capacity: 6.0,
-            window: 25,
-            indifference: 0.25,
-        }
-    }
-}
+/// Mean distance in m between changes of the surface.
+pub(crate) const CHANGE_DISTANCE: f64 = 200.0;
+/// Distance in m within which the vehicle cannot react to what lies ahead. With the probability that the surface changes
+/// within this distance, plans assume that a place is on a patch, about which only evidence measured within 8 m counts.
+pub(crate) const COMMITMENT: f64 = 45.0;
+/// Largest logarithm of a likelihood ratio that a cell keeps, in nats.
+const CAPACITY: f64 = 6.0;
+/// Logarithm of the likelihood ratio in nats up to which a window does not tell coefficients apart.
+const INDIFFERENCE: f64 = 0.25;
 
 /// Belief about the friction of a road, from evidence in cells of at most 2 m.
 ///
 /// The friction is a Markov chain along the cells: from one cell to the next it stays, or with probability
-/// `1 - exp(-cell / change_distance)` is drawn anew from the uniform prior. Each cell has the likelihood of what was
+/// `1 - exp(-cell / 200 m)` is drawn anew from the uniform prior. Each cell has the likelihood of what was
 /// measured in it, and the belief at a place is the posterior given the evidence behind and ahead of it, by the
 /// forward-backward recursion (Rabiner, *A Tutorial on Hidden Markov Models*, Proceedings of the IEEE 77(2), 1989).
 #[derive(Debug, Clone)]
 pub struct RoadBelief {
-    pub(crate) settings: BeliefSettings,
+    /// Number of transitions `K` from which a control step estimates the friction.
+    pub(crate) window: usize,
     pub(crate) grid: Grid,
     closed: bool,
     /// Points of the road with equal distances in m, by which it is told from others; may be empty.
@@ -95,12 +80,11 @@ pub struct RoadBelief {
 }
 
 impl RoadBelief {
-    /// A belief without evidence about a road of `length` m, which is a lap if `closed`.
+    /// A belief without evidence about a road of `length` m, which is a lap if `closed`, with a window of 25 transitions.
     ///
     /// # Errors
-    /// [`BeliefError`] unless the settings are positive and finite, the length is from 1 m to 1000 km, and the window at most
-    /// 1000 transitions.
-    pub fn new(length: f64, closed: bool, settings: &BeliefSettings) -> Result<Self, BeliefError> {
+    /// [`BeliefError`] unless the length is from 1 m to 1000 km.
+    pub fn new(length: f64, closed: bool) -> Result<Self, BeliefError> {
         at_most("length", length, LONGEST, LENGTH)?;
         if length < SHORTEST {
             return Err(BeliefError {
@@ -109,23 +93,14 @@ impl RoadBelief {
                 value: length,
             });
         }
-        check_window(settings.window)?;
-        for (name, value) in [
-            ("change_distance", settings.change_distance),
-            ("commitment", settings.commitment),
-            ("capacity", settings.capacity),
-            ("indifference", settings.indifference),
-        ] {
-            positive(name, value)?;
-        }
         let cells = (length / CELL).ceil();
         Ok(Self {
-            settings: *settings,
+            window: DEFAULT_WINDOW,
             grid: Grid::new(),
             closed,
             shape: Vec::new(),
             cell: length / cells,
-            track: VecDeque::with_capacity(settings.window + 1),
+            track: VecDeque::with_capacity(DEFAULT_WINDOW + 1),
             evidence: vec![[0.0; _]; cells as usize],
             measured: None,
             likelihood: vec![[1.0; _]; cells as usize],
@@ -139,7 +114,7 @@ impl RoadBelief {
 
     /// Number of transitions from which a control step estimates the friction.
     pub fn window(&self) -> usize {
-        self.settings.window
+        self.window
     }
 
     /// Replaces the window. If its length changes, the places of the last periods and the newest window are discarded; the
@@ -148,12 +123,12 @@ impl RoadBelief {
     /// # Errors
     /// [`BeliefError`] unless it is 1 to 1000 transitions.
     pub fn set_window(&mut self, window: usize) -> Result<(), BeliefError> {
-        check_window(window)?;
-        if window != self.settings.window {
+        at_most("window", window as f64, WINDOW, "1 to 1000 transitions")?;
+        if window != self.window {
             if let Some(reported) = &mut self.reported {
-                reported.end_windows(self.settings.window);
+                reported.end_windows(self.window);
             }
-            self.settings.window = window;
+            self.window = window;
             self.leave();
         }
         Ok(())
@@ -186,7 +161,7 @@ impl RoadBelief {
     /// start of this third to the vehicle: otherwise a surface that has just begun would be believed only after most of the
     /// window lies on it.
     ///
-    /// Likelihoods that are smaller than the largest one by at most the setting `indifference` count as equal to it, and
+    /// Likelihoods that are smaller than the largest one by at most `INDIFFERENCE` count as equal to it, and
     /// the others are raised by as much. Where no grip is used, the models of all coefficients predict nearly the same, and
     /// the small differences of their likelihoods are errors of the models. They do not become smaller with the number of
     /// windows, and would add up. Only ratios count: what is added to all logarithms changes nothing.
@@ -206,7 +181,7 @@ impl RoadBelief {
         if self.jumped(s) {
             self.leave();
         }
-        let window = self.settings.window;
+        let window = self.window;
         self.recent = None;
         if let Some(log_likelihood) = log_likelihood
             && self.track.len() > window
@@ -215,8 +190,7 @@ impl RoadBelief {
             let log_likelihood = &log_likelihood.map(|value| value - most);
             let (from, to) = (self.track[window / 3], self.track[2 * window / 3]);
             self.compare_with_reports(log_likelihood);
-            let log_likelihood =
-                interpolate_with_dead_zone(log_likelihood, self.settings.indifference);
+            let log_likelihood = interpolate_with_dead_zone(log_likelihood, INDIFFERENCE);
             self.add(from, to, &log_likelihood);
             let lap = self.closed.then_some(self.evidence.len() as i64);
             self.recent = self.between(from, s).map(|(from, to)| {
@@ -266,7 +240,7 @@ impl RoadBelief {
             let Some(cell) = self.stored(index) else {
                 continue;
             };
-            self.add_to_cell(cell, share / self.settings.window as f64, log_likelihood);
+            self.add_to_cell(cell, share / self.window as f64, log_likelihood);
         }
     }
 
@@ -275,11 +249,10 @@ impl RoadBelief {
         if log_likelihood.iter().all(|value| *value == 0.0) {
             return; // The evidence stays as it is, and as old as it is.
         }
-        let capacity = self.settings.capacity;
         if let Some(measured) = &mut self.measured {
-            accumulate(&mut measured[cell], weight, log_likelihood, capacity);
+            accumulate(&mut measured[cell], weight, log_likelihood);
         }
-        accumulate(&mut self.evidence[cell], weight, log_likelihood, capacity);
+        accumulate(&mut self.evidence[cell], weight, log_likelihood);
         self.likelihood[cell] = self.evidence[cell].map(f64::exp);
         self.changed.insert(cell / TILE_CELLS);
     }
@@ -291,7 +264,7 @@ impl RoadBelief {
         }
         let cells = self.evidence.iter_mut().zip(&mut self.likelihood);
         for ((evidence, likelihood), row) in cells.zip(rows) {
-            accumulate(evidence, weight, row, self.settings.capacity);
+            accumulate(evidence, weight, row);
             *likelihood = evidence.map(f64::exp);
         }
     }
@@ -319,7 +292,7 @@ impl RoadBelief {
 
     /// Computes the messages of the cells `first..=last` from a layer's evidence up to `reach` cells beyond them.
     pub(crate) fn smooth(&mut self, layer: Layer, first: i64, last: i64, reach: i64) {
-        let change = 1.0 - (-self.cell / self.settings.change_distance).exp();
+        let change = 1.0 - (-self.cell / CHANGE_DISTANCE).exp();
         let (mut forward, mut backward) = (take(&mut self.forward), take(&mut self.backward));
         let cells = (last - first + 1) as usize;
         for messages in [&mut forward, &mut backward] {
@@ -358,17 +331,13 @@ impl RoadBelief {
 }
 
 /// Adds `weight` times a logarithm of a likelihood to a cell's evidence, whose largest number stays 0 and whose smallest one is
-/// at least `-capacity`.
-fn accumulate(evidence: &mut Row, weight: f64, log_likelihood: &Row, capacity: f64) {
+/// at least `-CAPACITY`.
+fn accumulate(evidence: &mut Row, weight: f64, log_likelihood: &Row) {
     for (sum, value) in evidence.iter_mut().zip(log_likelihood) {
         *sum += weight * value;
     }
     let most = evidence.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     for value in evidence.iter_mut() {
-        *value = (*value - most).max(-capacity) + 0.0; // turns -0.0 into 0.0, so that equal evidence has equal bytes
+        *value = (*value - most).max(-CAPACITY) + 0.0; // turns -0.0 into 0.0, so that equal evidence has equal bytes
     }
-}
-
-fn check_window(window: usize) -> Result<(), BeliefError> {
-    at_most("window", window as f64, WINDOW, "1 to 1000 transitions")
 }

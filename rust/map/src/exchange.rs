@@ -74,7 +74,7 @@ impl RoadBelief {
         let (first, last) = (self.index(from - BLUR), self.index(to + BLUR));
         let mut stated = self.masses_of(Layer::Reported, first, last, REACH, 0.0);
         stated.iter_mut().for_each(to_probabilities);
-        let window = self.settings.window;
+        let window = self.window;
         if let Some(reported) = &mut self.reported {
             reported.compare(&stated, &interpolate(log_likelihood), &self.grid, window);
         }

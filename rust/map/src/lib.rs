@@ -23,7 +23,7 @@ mod recent;
 mod reported;
 mod tile;
 
-pub use belief::{BeliefSettings, RoadBelief};
+pub use belief::RoadBelief;
 pub use belief_error::BeliefError;
 pub use exchange::TileIndexError;
 pub use file::StoredBeliefError;

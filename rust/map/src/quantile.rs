@@ -1,13 +1,12 @@
 //! Quantiles of the friction: those for a speed plan, and those at one place.
 
 use crate::RoadBelief;
-use crate::belief::{BLUR, REACH};
+use crate::belief::{BLUR, CHANGE_DISTANCE, COMMITMENT, REACH};
 use crate::belief_error::{BeliefError, place, positive, probability, stretch};
 
 impl RoadBelief {
     /// Writes the friction to plan for at places `step` m apart from `start` on: the coefficient below which the
-    /// friction lies with the probability `risk`, where each place may be on a patch
-    /// ([`crate::BeliefSettings::commitment`]).
+    /// friction lies with the probability `risk`, where each place may be on a patch.
     ///
     /// # Errors
     /// [`BeliefError`] unless `start` is an arc length within ±1e9 m, the places cover at most 10 km, and `risk` is in (0, 1).
@@ -28,7 +27,7 @@ impl RoadBelief {
         let blur = (BLUR / self.cell).round() as i64;
         let first = self.index(start) - blur;
         let last = self.index(start + step * friction.len().saturating_sub(1) as f64) + blur;
-        let patch = 1.0 - (-self.settings.commitment / self.settings.change_distance).exp();
+        let patch = 1.0 - (-COMMITMENT / CHANGE_DISTANCE).exp();
         let cells: Vec<f64> = (self.masses(first, last, REACH, patch).iter())
             .map(|masses| self.grid.quantile(masses, risk))
             .collect();
@@ -48,7 +47,7 @@ impl RoadBelief {
         probability("share", share)?;
         place("s", s)?;
         let index = self.index(s);
-        let reach = 3.0 * self.settings.change_distance;
+        let reach = 3.0 * CHANGE_DISTANCE;
         let masses = self.masses(index, index, reach, 0.0);
         Ok(self.grid.quantile(&masses[0], share))
     }

@@ -65,11 +65,6 @@ impl Tile {
         self.0.iter().all(|byte| *byte == 0)
     }
 
-    /// The largest ratio of likelihoods in a cell, in nats.
-    pub fn strength(&self) -> f64 {
-        f64::from(self.0.iter().copied().max().unwrap_or(0)) / UNITS
-    }
-
     /// The likelihoods of each cell.
     pub(crate) fn likelihoods(&self) -> impl Iterator<Item = Row> {
         self.0

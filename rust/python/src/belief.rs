@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use egp_map::{BeliefSettings, MergeSettings, Tile, merge};
+use egp_map::{MergeSettings, Tile, merge};
 use egp_parameters::FRICTION_HYPOTHESES;
 use egp_path::SpeedLimits;
 use pyo3::prelude::*;
@@ -85,27 +85,13 @@ pub struct RoadBelief(egp_map::RoadBelief);
 #[pymethods]
 impl RoadBelief {
     #[new]
-    #[pyo3(signature = (path, *, change_distance = None, commitment = None, capacity = None, window = None, indifference = None))]
-    fn new(
-        path: &Path,
-        change_distance: Option<f64>,
-        commitment: Option<f64>,
-        capacity: Option<f64>,
-        window: Option<usize>,
-        indifference: Option<f64>,
-    ) -> PyResult<Self> {
-        let default = BeliefSettings::default();
-        let settings = BeliefSettings {
-            change_distance: change_distance.unwrap_or(default.change_distance),
-            commitment: commitment.unwrap_or(default.commitment),
-            capacity: capacity.unwrap_or(default.capacity),
-            window: window.unwrap_or(default.window),
-            indifference: indifference.unwrap_or(default.indifference),
-        };
+    #[pyo3(signature = (path, *, window = 25))]
+    fn new(path: &Path, window: usize) -> PyResult<Self> {
         let path = &path.0;
         let place = |i| path.sample(path.length() * i as f64 / SHAPE_POINTS as f64);
         let points = (0..SHAPE_POINTS).map(place).map(|at| [at.x, at.y]);
-        egp_map::RoadBelief::new(path.length(), path.closed(), &settings)
+        egp_map::RoadBelief::new(path.length(), path.closed())
+            .and_then(|mut belief| belief.set_window(window).map(|()| belief))
             .map(|belief| Self(belief.with_shape(points.collect())))
             .map_err(InvalidArgumentError::raise)
     }

@@ -1,6 +1,6 @@
 //! A vehicle that plans its speed for the friction that it believes in.
 
-use egp_map::{BeliefSettings, RoadBelief};
+use egp_map::RoadBelief;
 use egp_parameters::{FRICTION_HYPOTHESES, VehicleParameters, friction_hypotheses};
 use egp_path::tracks::RandomTrack;
 use egp_path::{SpeedLimits, SpeedPlanner};
@@ -33,7 +33,7 @@ impl Planning {
         let path = RandomTrack::new(0).path().unwrap();
         let limits = SpeedLimits::of(&VehicleParameters::FORD_ESCORT);
         let planner = SpeedPlanner::new(&path, &limits).unwrap();
-        let belief = RoadBelief::new(path.length(), true, &BeliefSettings::default()).unwrap();
+        let belief = RoadBelief::new(path.length(), true).unwrap();
         let mut planning = Self {
             belief,
             length: path.length(),

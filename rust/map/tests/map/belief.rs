@@ -1,6 +1,6 @@
 //! What a belief knows, and how it is stored.
 
-use egp_map::{BeliefSettings, RoadBelief};
+use egp_map::RoadBelief;
 use egp_parameters::{FRICTION_HYPOTHESES, LEAST_LOG_LIKELIHOOD, friction_hypotheses};
 
 use super::{LENGTH, belief, drive, evidence, quantiles};
@@ -49,7 +49,7 @@ fn a_lap_is_remembered_with_its_borders() {
 #[test]
 fn what_is_known_fades_with_the_distance() {
     // On a lap, what is known would lie ahead, too.
-    let mut belief = RoadBelief::new(LENGTH, false, &BeliefSettings::default()).unwrap();
+    let mut belief = RoadBelief::new(LENGTH, false).unwrap();
     drive(&mut belief, 0.0, 100.0, |_| Some(evidence(0.9)));
     let lower = [90.0, 130.0, 200.0, 300.0].map(|s| belief.quantile(s, 0.1).unwrap());
     assert!(lower.windows(2).all(|pair| pair[0] > pair[1]), "{lower:?}");
@@ -103,11 +103,9 @@ fn differences_that_errors_of_the_models_explain_do_not_add_up() {
 #[test]
 fn another_window_is_that_of_a_new_belief_and_the_same_one_changes_nothing() {
     let with = |window| {
-        let settings = BeliefSettings {
-            window,
-            ..BeliefSettings::default()
-        };
-        RoadBelief::new(LENGTH, true, &settings).unwrap()
+        let mut belief = belief();
+        belief.set_window(window).unwrap();
+        belief
     };
     let (mut changed, mut new) = (belief(), with(10));
     assert_eq!(changed.window(), 25);
@@ -202,8 +200,7 @@ fn bytes_that_are_no_belief_about_this_road_are_errors_and_change_nothing() {
     drive(&mut stored, 0.0, 100.0, |_| Some(evidence(0.5)));
     let bytes = stored.to_bytes().unwrap();
     let refused = |bytes: &[u8], length: f64, closed: bool| {
-        let settings = BeliefSettings::default();
-        let mut other = RoadBelief::new(length, closed, &settings).unwrap();
+        let mut other = RoadBelief::new(length, closed).unwrap();
         let before = other.to_bytes().unwrap();
         let error = other.recall(bytes).unwrap_err().to_string();
         assert_eq!(other.to_bytes().unwrap(), before);
@@ -245,24 +242,7 @@ fn a_road_of_the_same_length_with_another_course_is_another_road() {
 
 #[test]
 fn numbers_out_of_range_are_errors() {
-    let settings = BeliefSettings {
-        change_distance: 0.0,
-        ..BeliefSettings::default()
-    };
-    assert!(
-        RoadBelief::new(LENGTH, true, &settings)
-            .unwrap_err()
-            .to_string()
-            .contains("change_distance")
-    );
-    assert!(RoadBelief::new(f64::NAN, true, &BeliefSettings::default()).is_err());
-    for indifference in [-0.1, f64::NAN] {
-        let settings = BeliefSettings {
-            indifference,
-            ..BeliefSettings::default()
-        };
-        assert!(RoadBelief::new(LENGTH, true, &settings).is_err());
-    }
+    assert!(RoadBelief::new(f64::NAN, true).is_err());
     let mut belief = belief();
     assert!(belief.update(f64::NAN, None).is_err());
     for spoiled in [f64::NAN, 0.5, f64::NEG_INFINITY, f64::MIN, -1.1e6] {
@@ -285,13 +265,9 @@ fn numbers_out_of_range_are_errors() {
     assert!(belief.ahead(-1e9, 1.0, 0.1, &mut [0.0; 3]).is_ok());
     assert!(belief.ahead(0.0, 1e300, 0.1, &mut [0.0; 3]).is_err());
     assert!(belief.ahead(0.0, 5e3, 0.1, &mut [0.0; 3]).is_err());
-    assert!(RoadBelief::new(1.1e6, true, &BeliefSettings::default()).is_err());
+    assert!(RoadBelief::new(1.1e6, true).is_err());
     for window in [0, 1001, usize::MAX] {
-        let settings = BeliefSettings {
-            window,
-            ..BeliefSettings::default()
-        };
-        assert!(RoadBelief::new(LENGTH, true, &settings).is_err());
+        assert!(belief.set_window(window).is_err());
     }
 }
 
@@ -335,7 +311,7 @@ fn only_ratios_of_likelihoods_count() {
 
 #[test]
 fn evidence_beyond_an_end_of_an_open_road_counts_nowhere_else() {
-    let mut belief = RoadBelief::new(LENGTH, false, &BeliefSettings::default()).unwrap();
+    let mut belief = RoadBelief::new(LENGTH, false).unwrap();
     let ice = evidence(0.15);
     let unknown = belief.quantile(LENGTH - 3.0, 0.5).unwrap();
     for period in 0..40 {

@@ -9,13 +9,13 @@ mod belief;
 mod fleet;
 mod preview;
 
-use egp_map::{BeliefSettings, RoadBelief};
+use egp_map::RoadBelief;
 use egp_parameters::{FRICTION_HYPOTHESES, friction_hypotheses};
 
 const LENGTH: f64 = 500.0;
 
 fn belief() -> RoadBelief {
-    RoadBelief::new(LENGTH, true, &BeliefSettings::default()).unwrap()
+    RoadBelief::new(LENGTH, true).unwrap()
 }
 
 /// Evidence for a friction coefficient that is known to 5 %.

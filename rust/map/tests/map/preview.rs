@@ -1,6 +1,6 @@
 //! Previews and plans along a road, over the end of a lap and on short laps.
 
-use egp_map::{BeliefSettings, RoadBelief};
+use egp_map::RoadBelief;
 
 use super::{LENGTH, belief, drive, evidence};
 
@@ -8,7 +8,7 @@ use super::{LENGTH, belief, drive, evidence};
 fn a_vehicle_that_rolls_back_over_the_start_line_adds_nothing() {
     // A lap of 12 km is longer than a preview may be.
     for length in [LENGTH, 12_000.0] {
-        let mut belief = RoadBelief::new(length, true, &BeliefSettings::default()).unwrap();
+        let mut belief = RoadBelief::new(length, true).unwrap();
         let empty = belief.to_bytes().unwrap();
         let mut rows = [[0.0; 2]; 3];
         for period in 0..60 {
@@ -25,7 +25,7 @@ fn a_vehicle_that_rolls_back_over_the_start_line_adds_nothing() {
 #[test]
 fn evidence_about_a_patch_counts_once_on_a_lap_of_its_length() {
     let planned = |length: f64, closed: bool| {
-        let mut belief = RoadBelief::new(length, closed, &BeliefSettings::default()).unwrap();
+        let mut belief = RoadBelief::new(length, closed).unwrap();
         for period in 0..50 {
             let found = evidence(0.8).map(|value| value / 60.0);
             belief
@@ -45,7 +45,7 @@ fn evidence_about_a_patch_counts_once_on_a_lap_of_its_length() {
 fn no_evidence_counts_twice_on_a_short_lap() {
     // The same weak evidence about 18 m; what lies ahead of them is unknown.
     let planned = |length: f64, closed: bool, friction: &mut [f64]| {
-        let mut belief = RoadBelief::new(length, closed, &BeliefSettings::default()).unwrap();
+        let mut belief = RoadBelief::new(length, closed).unwrap();
         for period in 0..90 {
             let found = evidence(0.8).map(|value| value / 60.0);
             let s = 5.0 + 0.2 * f64::from(period);
@@ -70,7 +70,7 @@ fn no_evidence_counts_twice_on_a_short_lap() {
 
 #[test]
 fn a_vehicle_that_was_moved_has_a_preview_at_once() {
-    let mut belief = RoadBelief::new(50_000.0, false, &BeliefSettings::default()).unwrap();
+    let mut belief = RoadBelief::new(50_000.0, false).unwrap();
     drive(&mut belief, 0.0, 10.0, |_| Some(evidence(0.5)));
     belief.update(20_000.0, Some(&evidence(0.5))).unwrap();
     let mut rows = [[0.0; 2]; 3];
