@@ -41,7 +41,7 @@ class LateReplies(StepController):
         self._driver = Driver(
             self._engine.ready, fleet="f", vehicle="v", gate=gate, budget=budget, hedge=1.0
         )
-        self._driver.replica_appeared(0.0, "main")
+        self._driver.replica_appeared("main")
         self._driver.replica_fits("main")
         self._delays = delays
         self._period = 0

@@ -100,7 +100,7 @@ class InProcess:
         self.dt, self.horizon = served.dt, served.horizon
         self._driver = Driver(ready, fleet=FLEET, vehicle=VEHICLE, gate=GATE)
         for name in scripts:
-            self._driver.replica_appeared(0.0, name)
+            self._driver.replica_appeared(name)
         self._driver.replica_fits(fitting)
         self._frozen: dict[str, list[Callable[[], None]]] = {}
         self._open: list[tuple[float, int]] = []

@@ -198,7 +198,7 @@ def test_a_client_in_another_language_is_told_which_field_is_wrong() -> None:
 def test_the_driver_makes_requests_that_google_protobuf_reads() -> None:
     gate = _core.VehicleParameters(**VEHICLE).gate_limits()
     driver = _core.Driver(golden("ready"), fleet="depot", vehicle="car-7", gate=gate)
-    driver.replica_appeared(0.0, "garage-1")
+    driver.replica_appeared("garage-1")
     driver.replica_fits("garage-1")
     reference = np.zeros((21, 4))
     reference[:, 0] = 0.5 * np.arange(21)

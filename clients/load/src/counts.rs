@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
-use egp_wire::{Code, MessageLimits, Reply, Status, Timing, WireError, code_name, status_name};
+use egp_wire::{Code, Reply, Status, Timing, WireError, code_name, status_name};
 use prost::Message as _;
 
 use crate::tally::Micros;
@@ -42,7 +42,7 @@ impl Sent {
     /// Counts the reply with this payload and attachment.
     pub(crate) fn replied(&self, payload: &[u8], attachment: &[u8]) {
         let latency = self.due.elapsed();
-        let status = Reply::decode(payload, &MessageLimits::default()).map(|reply| reply.status);
+        let status = Reply::decode(payload).map(|reply| reply.status);
         let outcome = match status {
             Ok(Status::Solved) if latency > self.budget => "late".to_owned(),
             Ok(status) => status_name(status).to_owned(),

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::Path;
 
 use egp_wire::keys::Name;
-use egp_wire::{MessageLimits, Ready, Request};
+use egp_wire::{Ready, Request};
 use thiserror::Error;
 
 use crate::Failure;
@@ -80,7 +80,7 @@ pub(crate) fn read(path: &Path) -> Result<Vec<Request>, Failure> {
             .filter(|length| *length <= rest.len())
             .ok_or_else(|| format!("{name}: expected requests in protobuf's delimited form"))?;
         let (message, others) = rest.split_at(length);
-        let request = Request::decode(message, &MessageLimits::default());
+        let request = Request::decode(message);
         requests.push(request.map_err(|error| format!("{name}: a request: {error}"))?);
         rest = others;
     }

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use egp_simulator::CAR;
 use egp_vehicle::{GateLimits, VehicleConfig, open_session};
 use egp_wire::keys::{self, Name};
-use egp_wire::{Interrupt, MessageLimits, Ready, Request};
+use egp_wire::{Interrupt, Ready, Request};
 use zenoh::bytes::ZBytes;
 use zenoh::query::Reply;
 use zenoh::{Session, Wait};
@@ -194,7 +194,7 @@ fn ready(session: &Session, replica: &Name) -> Result<Ready, Failure> {
         .ok()
         .and_then(|reply| reply.into_result().ok());
     let sample = answer.ok_or_else(|| format!("replica {replica} does not say what it serves"))?;
-    let ready = Ready::decode(&sample.payload().to_bytes(), &MessageLimits::default());
+    let ready = Ready::decode(&sample.payload().to_bytes());
     Ok(ready.map_err(|error| format!("replica {replica} says what cannot be used: {error}"))?)
 }
 

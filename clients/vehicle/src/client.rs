@@ -83,7 +83,7 @@ impl VehicleClient {
         };
         let traces = config.traces.as_ref().map(open).transpose()?;
         let (epoch, network) = (Instant::now(), Network::open(config)?);
-        let driver = discover(discovery, &network, config, &own, epoch)?;
+        let driver = discover(discovery, &network, config, &own)?;
         let status = if config.publish_status {
             let run = getrandom::u64().map_err(ClientError::Random)?;
             Some(Status::new(
@@ -274,7 +274,7 @@ impl VehicleClient {
             }
         }
         match event.kind {
-            EventKind::Appeared(replica) => self.driver.replica_appeared(at, replica),
+            EventKind::Appeared(replica) => self.driver.replica_appeared(replica),
             EventKind::Gone(replica) => self.driver.replica_gone(at, &replica),
             EventKind::Unknown(_) => {}
             EventKind::Replied(id, payload, attachment) => {
@@ -296,7 +296,6 @@ fn discover(
     network: &Network,
     config: &VehicleConfig,
     own: &DriverConfig,
-    epoch: Instant,
 ) -> Result<Driver, ClientError> {
     let begun = Instant::now();
     loop {
@@ -330,7 +329,7 @@ fn discover(
         };
         let mut driver = Driver::new(own.clone(), ready)?;
         for replica in discovery.live() {
-            driver.replica_appeared(epoch.elapsed(), replica.clone());
+            driver.replica_appeared(replica.clone());
         }
         driver.replica_fits(&question.replica);
         return Ok(driver);

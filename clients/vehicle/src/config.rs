@@ -97,11 +97,8 @@ impl VehicleConfig {
     /// number of a run once, and every driver counts its questions from 1.
     pub(crate) fn driver_of_a_run(&self) -> Result<DriverConfig, getrandom::Error> {
         let mut driver = self.driver.clone();
-        let of_driver = driver.key.take().map(|of_a_run| of_a_run.key);
-        if let Some(key) = self.key.clone().or(of_driver) {
-            let run = getrandom::u64()?;
-            driver.key = Some(RunKey { key, run });
-        }
+        let of_a_run = |key| getrandom::u64().map(|run| RunKey { key, run });
+        driver.key = self.key.clone().map(of_a_run).transpose()?;
         Ok(driver)
     }
 

@@ -7,7 +7,7 @@ use egp_trace::{
     Counts, Kind, Moment, Resource, Share, ShareError, Span, StepIds, TraceError, TraceFile, name,
 };
 use egp_wire::keys::Name;
-use egp_wire::{Header, MessageLimits, WireError};
+use egp_wire::{Header, WireError};
 use thiserror::Error;
 
 /// Why the spans of a vehicle cannot be written.
@@ -121,7 +121,7 @@ impl StepTraces {
     /// its trace is among the share. A period without a request has no trace.
     pub fn decided(&mut self, began: Time, decided: Time, step: &Step, clock: impl Fn() -> Time) {
         let asked = std::mem::take(&mut self.asked);
-        let Ok(header) = Header::decode(&step.request, &MessageLimits::default()) else {
+        let Ok(header) = Header::decode(&step.request) else {
             return;
         };
         let (fleet, vehicle) = (self.fleet.as_str(), self.vehicle.as_str());

@@ -167,7 +167,7 @@ class VehicleClient(StepController):
                 traces_share=traces_share,
             )
             for replica in discovery.live:
-                driver.replica_appeared(time.monotonic(), replica)
+                driver.replica_appeared(replica)
             driver.replica_fits(fitting)
             return cls(network, ready, driver, traces)
         except BaseException:
@@ -228,8 +228,10 @@ class Announcement:
 
     def __call__(self, driver: Driver) -> None:
         """Call `replica_appeared` or `replica_gone` of the driver."""
-        note = driver.replica_appeared if self.appeared else driver.replica_gone
-        note(self.at, self.replica)
+        if self.appeared:
+            driver.replica_appeared(self.replica)
+        else:
+            driver.replica_gone(self.at, self.replica)
 
 
 class Network:

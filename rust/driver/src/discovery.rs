@@ -5,7 +5,7 @@ use std::fmt;
 
 use egp_gate::WiderError;
 use egp_wire::keys::{self, Name};
-use egp_wire::{Invalid, MessageLimits, Ready, Tag};
+use egp_wire::{Invalid, Ready, Tag};
 use thiserror::Error;
 
 use crate::config::{DriverConfig, DriverError};
@@ -155,7 +155,7 @@ impl Discovery {
         if !self.config.authentic(self.tag.as_ref(), answer, attachment) {
             return Err(Unusable::Forged);
         }
-        let ready = Ready::decode(answer, &MessageLimits::default())?;
+        let ready = Ready::decode(answer)?;
         if !ready.ready {
             return Err(Unusable::Draining);
         }

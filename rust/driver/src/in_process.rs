@@ -40,7 +40,7 @@ impl InProcessDriver {
             served,
         )?;
         if let Ok(replica) = "in-process".parse::<Name>() {
-            driver.replica_appeared(NOW, replica.clone());
+            driver.replica_appeared(replica.clone());
             driver.replica_fits(&replica);
         }
         Ok(Self { driver })

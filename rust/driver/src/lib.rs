@@ -17,7 +17,7 @@
 //! #     vehicle: Some(vehicle),
 //! # };
 //! let mut driver = Driver::new(DriverConfig::new("depot", "car-7", limits)?, served)?;
-//! driver.replica_appeared(Duration::ZERO, "garage-1".parse()?);
+//! driver.replica_appeared("garage-1".parse()?);
 //! driver.replica_fits(&"garage-1".parse()?); // it gave the description `served`
 //!
 //! let x = [0.0, 0.0, 12.0, 0.0, 0.0, 0.0, 0.0];

@@ -1,6 +1,6 @@
 //! Whether a reply may be used: it is checked against the request and the library before anything of it is kept.
 
-use egp_wire::{Invalid, MessageLimits, Ready, Reply, Request, Status};
+use egp_wire::{Invalid, Ready, Reply, Request, Status};
 
 /// Largest distance between the vehicle and any position of its plan, m.
 const MAX_REACH: f64 = 1000.0;
@@ -10,7 +10,7 @@ const MAX_REACH: f64 = 1000.0;
 /// # Errors
 /// [`Invalid`] naming the first field that is malformed, outside its domain, or not an answer to this request.
 pub(crate) fn decode(bytes: &[u8], request: &Request, served: &Ready) -> Result<Reply, Invalid> {
-    let reply = Reply::decode(bytes, &MessageLimits::default())?;
+    let reply = Reply::decode(bytes)?;
     if reply.library != served.library {
         return Err(Invalid::field(
             "library",

@@ -6,9 +6,7 @@ use egp_core::{
     Library, MOST_FORCE, Settings, StepError, StepReply, StepRequest, VehicleParameters, Workspace,
     library,
 };
-use egp_wire::{
-    Code, Friction, LibraryId, MessageLimits, Ready, Reply, Request, Status, WireError,
-};
+use egp_wire::{Code, Friction, LibraryId, Ready, Reply, Request, Status, WireError, limits};
 
 use crate::cores::{Cores, available_cores};
 use crate::error::EngineError;
@@ -19,7 +17,6 @@ use crate::file::read_library;
 pub struct Engine {
     library: Library,
     settings: Settings,
-    limits: MessageLimits,
     cores: Option<Arc<Cores>>,
 }
 
@@ -37,7 +34,7 @@ impl Engine {
     /// # Errors
     /// [`EngineError`] if the settings are out of range, or members, horizon, window or forces exceed the limits of the wire.
     pub fn new(library: Library, settings: Settings) -> Result<Self, EngineError> {
-        let (limits, metadata) = (MessageLimits::default(), library.metadata());
+        let metadata = library.metadata();
         let settings = settings.complete(
             library.dt(),
             library.least_friction(),
@@ -45,12 +42,11 @@ impl Engine {
             metadata.measurement_noise,
             metadata.measurement_delay,
         );
-        check_sizes(&library, &settings, &limits)?;
+        check_sizes(&library, &settings)?;
         Workspace::new(&library, &settings)?;
         let engine = Self {
             library,
             settings,
-            limits,
             cores: None,
         };
         engine.check_forces()?;
@@ -158,7 +154,7 @@ impl Engine {
 
     /// The properties of the engine that a client needs to make requests.
     pub fn describe(&self) -> Ready {
-        // `check_sizes` has compared the numbers with `MessageLimits`.
+        // `check_sizes` has compared the numbers with the limits of messages.
         let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
         Ready {
             ready: true,
@@ -214,7 +210,7 @@ impl Engine {
     ) -> Result<Status, WireError> {
         let memory = workspace;
         let _core = self.cores.as_ref().map(|cores| cores.occupy());
-        memory.request.decode_from(request, &self.limits)?;
+        memory.request.decode_from(request)?;
         self.check_library(&memory.request)?;
         egp_core::step(
             &self.library,
@@ -291,18 +287,14 @@ pub fn unknown_library(served: &[LibraryId], stated: &LibraryId) -> WireError {
 }
 
 /// Errors if a message cannot carry so many members, inputs of a plan, or transitions.
-fn check_sizes(
-    library: &Library,
-    settings: &Settings,
-    limits: &MessageLimits,
-) -> Result<(), EngineError> {
+fn check_sizes(library: &Library, settings: &Settings) -> Result<(), EngineError> {
     let (members, dt) = (library.members().len(), library.dt());
     let horizon = settings.horizon(dt, library.least_friction());
     let window = settings.weights.window(dt);
     for (what, actual, limit) in [
-        ("the number of members", members, limits.members),
-        ("settings.horizon", horizon, limits.horizon),
-        ("settings.weights.window", window, limits.history),
+        ("the number of members", members, limits::MEMBERS),
+        ("settings.horizon", horizon, limits::HORIZON),
+        ("settings.weights.window", window, limits::HISTORY),
     ] {
         if actual > limit {
             return Err(EngineError::Limit {

@@ -47,7 +47,7 @@ pub enum EngineError {
         what: &'static str,
         /// Its value.
         actual: usize,
-        /// The limit of [`egp_wire::MessageLimits`].
+        /// The limit of [`egp_wire::limits`].
         limit: usize,
     },
     /// Larger forces than a message can carry.

@@ -257,7 +257,7 @@ impl Driver {
         traces_share: f64,
     ) -> PyResult<Self> {
         let config = driver_config(fleet, vehicle, gate, budget, hedge, want_sigma, keys)?;
-        let ready = Ready::decode(ready, &egp_wire::MessageLimits::default()).map_err(raise)?;
+        let ready = Ready::decode(ready).map_err(raise)?;
         let open = |file| Tracing::open(py, file, traces_share, &config);
         let traces = traces.map(open).transpose()?;
         egp_driver::Driver::new(config, ready)
@@ -266,8 +266,8 @@ impl Driver {
     }
 
     /// Note that a replica announces itself.
-    fn replica_appeared(&mut self, now: f64, replica: &str) -> PyResult<()> {
-        self.0.replica_appeared(time(now)?, name(replica)?);
+    fn replica_appeared(&mut self, replica: &str) -> PyResult<()> {
+        self.0.replica_appeared(name(replica)?);
         Ok(())
     }
 
@@ -300,7 +300,9 @@ impl Driver {
         road_friction: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<()> {
         let now = time(now)?;
-        let given = within(deadline, || measurement(x, reference, widths, road_friction));
+        let given = within(deadline, || {
+            measurement(x, reference, widths, road_friction)
+        });
         let (deadline, measurement) = given.inspect_err(|_| self.0.skip_period(now))?;
         if let Some(traces) = &mut self.1 {
             traces.began(now);

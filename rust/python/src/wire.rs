@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use egp_wire::{MessageLimits, Predictions, keys};
+use egp_wire::{Predictions, keys};
 use pyo3::prelude::*;
 
 use crate::array::{KeptCube, KeptMatrix, KeptVector, NewCube, NewMatrix, array, vector};
@@ -211,7 +211,7 @@ impl Replica {
 /// Read and validate a StepRequest. Raises `EgpError` naming the field at fault.
 #[pyfunction]
 pub fn decode_request(py: Python<'_>, data: &[u8]) -> PyResult<Request> {
-    let request = egp_wire::Request::decode(data, &MessageLimits::default()).map_err(raise)?;
+    let request = egp_wire::Request::decode(data).map_err(raise)?;
     Ok(Request {
         library: request.library.to_vec().into(),
         sequence: request.sequence,
@@ -235,7 +235,7 @@ pub fn decode_request(py: Python<'_>, data: &[u8]) -> PyResult<Request> {
 /// Read and validate a StepReply. Raises `EgpError` naming the field at fault.
 #[pyfunction]
 pub fn decode_reply(py: Python<'_>, data: &[u8]) -> PyResult<Reply> {
-    let reply = egp_wire::Reply::decode(data, &MessageLimits::default()).map_err(raise)?;
+    let reply = egp_wire::Reply::decode(data).map_err(raise)?;
     let status = reply.status.as_str_name().trim_start_matches("STATUS_");
     let members = reply.weights.len();
     let friction = Friction::of(py, &reply)?;
@@ -272,7 +272,7 @@ pub fn decode_error(data: &[u8]) -> PyResult<Refusal> {
 /// Read and validate a Ready.
 #[pyfunction]
 pub fn decode_ready(py: Python<'_>, data: &[u8]) -> PyResult<Replica> {
-    let ready = egp_wire::Ready::decode(data, &MessageLimits::default()).map_err(raise)?;
+    let ready = egp_wire::Ready::decode(data).map_err(raise)?;
     Replica::of(py, ready)
 }
 

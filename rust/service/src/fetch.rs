@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use egp_core::library::{self, MAX_FILE_BYTES};
 use egp_engine::read_library;
 use egp_wire::keys::Name;
-use egp_wire::{Code, LIBRARY_PART_BYTES, LibraryFile, LibraryId, MessageLimits};
+use egp_wire::{Code, LIBRARY_PART_BYTES, LibraryFile, LibraryId};
 use egp_wire::{WireError, library_keys};
 
 use crate::config::ServiceConfig;
@@ -230,7 +230,7 @@ impl Fetching<'_> {
 
     /// Fetches all parts from a replica, and checks them; `message` is its answer.
     fn transfer(&mut self, replica: &Name, message: &[u8]) -> Result<Transferred, FetchError> {
-        let file = match LibraryFile::decode(message, &MessageLimits::default()) {
+        let file = match LibraryFile::decode(message) {
             Ok(file) => file,
             Err(invalid) => return Ok(Err(invalid.into())),
         };

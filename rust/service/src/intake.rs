@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use egp_wire::keys::{self, Name, Target};
-use egp_wire::{Code, Header, Invalid, Load, MessageLimits, Ready, WireError};
+use egp_wire::{Code, Header, Invalid, Load, Ready, WireError, limits};
 
 use crate::events;
 use crate::guard::{Guard, Sealed};
@@ -125,13 +125,12 @@ impl<Q: Query> Shared<Q> {
         if query.key() != keys::step(&self.replica, fleet, vehicle) {
             return Err((None, no_such_key(query.key(), OF_A_REPLICA)));
         }
-        let limits = MessageLimits::default();
-        let (limit, actual) = (limits.message_bytes, query.length());
+        let (limit, actual) = (limits::MESSAGE_BYTES, query.length());
         if actual > limit {
             // The payload is not read: several parts of it would be copied first.
             return Err((None, Invalid::TooLarge { limit, actual }.into()));
         }
-        let header = Header::decode(&query.payload(), &limits).map_err(|e| (None, e.into()))?;
+        let header = Header::decode(&query.payload()).map_err(|e| (None, e.into()))?;
         let guard = self.guard.as_ref();
         let sealed = guard.map(|guard| guard.request(query, fleet, vehicle));
         match sealed.transpose() {
@@ -336,7 +335,7 @@ pub(crate) mod tests {
                 .starts_with("egp/v1/r/main/a\\n\\u{1b}[31m is no key"),
             "{none}"
         );
-        let limit = MessageLimits::default().message_bytes;
+        let limit = limits::MESSAGE_BYTES;
         let large = asked(&|query| query.length = limit + 1).unwrap();
         assert!(large.detail.contains("at most"), "{large}");
         assert_eq!(asked(&|query| query.length = limit), None);
@@ -385,8 +384,7 @@ pub(crate) mod tests {
         assert!(String::from_utf8(metrics).unwrap().contains("egp_queued 0"));
         let ready = "egp/v1/r/main/ready";
         let (described, tag) = answer(&ask("ready", None), ready);
-        let limits = MessageLimits::default();
-        let is_ready = |message: &[u8]| Ready::decode(message, &limits).unwrap().ready;
+        let is_ready = |message: &[u8]| Ready::decode(message).unwrap().ready;
         assert!(is_ready(&described) && tag.is_none());
         shared.draining.store(true, Ordering::Relaxed);
         let (described, tag) = answer(&ask("ready", Some(seal(ready))), ready);

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use egp_engine::unknown_library;
-use egp_wire::{Header, LibraryId, MessageLimits, Ready, Status, WireError};
+use egp_wire::{Header, LibraryId, Ready, Status, WireError};
 
 use crate::handler::{Handler, LibraryContent};
 use crate::sync::atomic::{AtomicU64, Ordering};
@@ -185,7 +185,7 @@ impl<H: Handler> LibraryTable<H> {
         reply: &mut Vec<u8>,
         now: Duration,
     ) -> Result<Status, WireError> {
-        let asked = Header::decode(request, &MessageLimits::default())?.library;
+        let asked = Header::decode(request)?.library;
         let served = self.served();
         let Some(one) = served.iter().find(|one| one.id() == asked) else {
             return Err(unknown_library(&self.ids(), &asked));
@@ -249,7 +249,7 @@ mod tests {
             request: &[u8],
             reply: &mut Vec<u8>,
         ) -> Result<Status, WireError> {
-            Request::decode(request, &MessageLimits::default())?;
+            Request::decode(request)?;
             *reply = vec![self.0, *workspace];
             Ok(Status::Solved)
         }

@@ -157,8 +157,6 @@ mod tests {
     use std::borrow::Cow;
     use std::time::Instant;
 
-    use egp_wire::MessageLimits;
-
     use super::*;
     use crate::intake::tests::shared;
     use crate::query::recorded::{Recorded, Sent, name};
@@ -199,7 +197,7 @@ mod tests {
         let main = name("main");
         let (key, message) = sent(&ask(&library_keys::any_library(&ID)));
         assert_eq!(key, library_keys::library(&main, &ID));
-        let file = LibraryFile::decode(&message, &MessageLimits::default()).unwrap();
+        let file = LibraryFile::decode(&message).unwrap();
         assert_eq!(file.bytes, content().len() as u64);
         assert_eq!(file.signature, Some([9; 64]));
         let parts = (0..3).map(|part| {

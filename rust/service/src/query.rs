@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use egp_wire::{Code, Invalid, MessageLimits, WireError};
+use egp_wire::{Code, Invalid, WireError, limits};
 
 /// Largest attachment of a query in bytes. The seal of a vehicle, the only one there is, has at most about 200.
 const ATTACHMENT: usize = 512;
@@ -66,7 +66,7 @@ pub(crate) struct Answer {
 impl Answer {
     /// A reply, whose payload is an error if it is larger than any message.
     pub(crate) fn reply(key: &str, payload: &[u8]) -> Self {
-        let (limit, actual) = (MessageLimits::default().message_bytes, payload.len());
+        let (limit, actual) = (limits::MESSAGE_BYTES, payload.len());
         Self {
             key: Some(key.to_owned()),
             content: if actual > limit {
@@ -79,7 +79,7 @@ impl Answer {
 
     /// An error; none if it is the network's own, for a question that nobody answered in time.
     pub(crate) fn error(payload: &[u8]) -> Option<Self> {
-        let small = payload.len() <= MessageLimits::default().message_bytes;
+        let small = payload.len() <= limits::MESSAGE_BYTES;
         let error = small.then(|| WireError::decode(payload).ok())?;
         error.map(|error| Self {
             key: None,
@@ -99,7 +99,7 @@ pub(crate) mod recorded {
 
     use egp_testing::messages;
     use egp_wire::keys::{self, Name};
-    use egp_wire::{Code, Header, MessageLimits, Ready, Status, Timing};
+    use egp_wire::{Code, Header, Ready, Status, Timing};
     use prost::Message as _;
 
     use super::{Cow, Query, WireError};
@@ -246,7 +246,7 @@ pub(crate) mod recorded {
             request: &[u8],
             reply: &mut Vec<u8>,
         ) -> Result<Status, WireError> {
-            let sequence = Header::decode(request, &MessageLimits::default())?.sequence;
+            let sequence = Header::decode(request)?.sequence;
             assert_ne!(sequence, Self::PANICS, "on purpose");
             *reply = format!("{workspace}:{sequence}").into_bytes();
             Ok(Status::IterationLimit)

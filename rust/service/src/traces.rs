@@ -6,7 +6,7 @@ use egp_trace::{
     Counts, Kind, Moment, Resource, Share, Span, StepIds, TraceError, TraceFile, name,
 };
 use egp_wire::keys::{self, Name, Target};
-use egp_wire::{Header, MessageLimits, Status, WireError, status_name};
+use egp_wire::{Header, Status, WireError, status_name};
 
 use crate::config::ServiceConfig;
 use crate::intake::Job;
@@ -78,7 +78,7 @@ impl Traces {
         .with("egp.fleet", fleet)
         .with("egp.vehicle", vehicle)
         .with("egp.sequence", job.sequence);
-        if let Ok(header) = Header::decode(&payload, &MessageLimits::default()) {
+        if let Ok(header) = Header::decode(&payload) {
             whole = whole.with("egp.library", &header.library);
         }
         whole = ended_with(whole, outcome);

@@ -4,7 +4,7 @@ use std::rc::Rc;
 use std::time::Duration;
 
 use egp_driver::{Query, QueryId};
-use egp_wire::{Code, MessageLimits, WireError};
+use egp_wire::{Code, WireError};
 use rand::RngExt;
 
 use crate::event::{Event, Message};
@@ -102,8 +102,7 @@ impl World<'_> {
                 return;
             }
             Some(Mutant::ChangedRequest) if victim => {
-                let changed =
-                    egp_wire::Request::decode(&exchange.payload, &MessageLimits::default());
+                let changed = egp_wire::Request::decode(&exchange.payload);
                 if let Ok(mut request) = changed {
                     request.reference.iter_mut().for_each(|row| row[2] *= 0.9);
                     exchange.payload = request.encode();

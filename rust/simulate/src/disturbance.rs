@@ -3,8 +3,8 @@
 use std::rc::Rc;
 use std::time::Duration;
 
+use egp_wire::Request;
 use egp_wire::keys;
-use egp_wire::{MessageLimits, Request};
 use rand::RngExt;
 
 use crate::event::Event;
@@ -176,7 +176,7 @@ impl World<'_> {
             if alive { "appear" } else { "go" }
         ));
         if alive {
-            self.vehicles[v].driver.replica_appeared(now, replica);
+            self.vehicles[v].driver.replica_appeared(replica);
         } else {
             self.end_queries(v, r);
             self.vehicles[v].driver.replica_gone(now, &replica);
@@ -197,7 +197,7 @@ impl World<'_> {
             let (fleet, sender) = ("strangers".parse()?, format!("s{}", count % NAMES).parse()?);
             Ok(keys::step(&replica, &fleet, &sender))
         });
-        let request = Request::decode(&self.last_request, &MessageLimits::default());
+        let request = Request::decode(&self.last_request);
         let (Ok(key), Ok(mut request)) = (names, request) else {
             return;
         };

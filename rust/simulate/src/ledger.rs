@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use egp_engine::{Engine, EngineWorkspace};
 use egp_service::Handler;
-use egp_wire::{Header, MessageLimits, Ready, Status, WireError};
+use egp_wire::{Header, Ready, Status, WireError};
 
 use crate::library::{Uptime, Uses};
 
@@ -65,7 +65,7 @@ impl Handler for NotedEngine {
     ) -> Result<Status, WireError> {
         let status = self.engine.step(workspace, request, reply)?;
         let id = self.engine.library().id();
-        let stated = Header::decode(request, &MessageLimits::default());
+        let stated = Header::decode(request);
         // A reply of another library than the one that the request states is no reply to it.
         if stated.is_ok_and(|header| header.library == id) {
             self.ledger.note(request, reply);

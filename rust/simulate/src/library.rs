@@ -8,7 +8,7 @@ use std::time::Duration;
 use egp_core::library;
 use egp_engine::EngineWorkspace;
 use egp_service::{Handler, LibraryTable, TableFull, TableWorkspace};
-use egp_wire::{Code, LibraryId, MessageLimits, Ready, Reply, Request, Status, WireError};
+use egp_wire::{Code, LibraryId, Ready, Reply, Request, Status, WireError};
 
 use crate::ledger::NotedEngine;
 use crate::mutant::Mutant;
@@ -93,7 +93,7 @@ impl ProcessLibraries {
         let stated = std::mem::replace(&mut request.library, described);
         let now = self.uptime.get();
         let status = self.table.step(workspace, &request.encode(), reply, now);
-        let mut changed = Reply::decode(reply, &MessageLimits::default()).ok()?;
+        let mut changed = Reply::decode(reply).ok()?;
         changed.library = stated;
         *reply = changed.encode();
         status.ok()
@@ -117,7 +117,7 @@ impl Handler for ProcessLibraries {
         request: &[u8],
         reply: &mut Vec<u8>,
     ) -> Result<Status, WireError> {
-        let stated = Request::decode(request, &MessageLimits::default());
+        let stated = Request::decode(request);
         let described = self.table.ids().first().copied();
         let replaced = |request: &Request| {
             Some(request.library) != described && described != self.first.first().copied()

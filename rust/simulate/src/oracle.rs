@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use egp_driver::Step;
 use egp_gate::{Limits, Mode};
-use egp_wire::{Code, MessageLimits, Reply, WireError};
+use egp_wire::{Code, Reply, WireError};
 
 use crate::ledger::{Ledger, hash};
 
@@ -200,7 +200,7 @@ impl VehicleOracles {
             return;
         }
         self.newest = period;
-        let plan = Reply::decode(bytes, &MessageLimits::default()).map(|reply| reply.plan_u);
+        let plan = Reply::decode(bytes).map(|reply| reply.plan_u);
         if let Some(plan_u) = plan.ok().filter(|plan_u| !plan_u.is_empty()) {
             self.plan = Some((period, plan_u));
         }

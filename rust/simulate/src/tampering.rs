@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use egp_driver::Step;
 use egp_gate::{Limits, Mode};
-use egp_wire::{Code, MessageLimits, Reply, WireError};
+use egp_wire::{Code, Reply, WireError};
 use rand::RngExt;
 
 use crate::event::Message;
@@ -140,12 +140,11 @@ impl World<'_> {
         let (Some(mutant), 0) = (self.config.mutant, v) else {
             return payload;
         };
-        let limits = MessageLimits::default();
-        let Ok(mut reply) = Reply::decode(&payload, &limits) else {
+        let Ok(mut reply) = Reply::decode(&payload) else {
             return payload;
         };
         let old = match old {
-            Some(Message::Reply(bytes, _)) => Reply::decode(bytes, &limits).ok(),
+            Some(Message::Reply(bytes, _)) => Reply::decode(bytes).ok(),
             _ => None,
         };
         match mutant {
@@ -172,7 +171,7 @@ fn approach(from: f64, to: f64, step: f64) -> f64 {
 
 /// The bytes of a reply after a change, or the bytes as they were if they are no reply.
 fn changed(payload: Vec<u8>, change: impl Fn(&mut Reply)) -> Vec<u8> {
-    let Ok(mut reply) = Reply::decode(&payload, &MessageLimits::default()) else {
+    let Ok(mut reply) = Reply::decode(&payload) else {
         return payload;
     };
     change(&mut reply);

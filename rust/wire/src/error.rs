@@ -9,7 +9,7 @@ pub use crate::proto::error::Code;
 /// Why bytes are not a valid message.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum Invalid {
-    /// Larger than [`crate::MessageLimits::message_bytes`].
+    /// Larger than [`crate::limits::MESSAGE_BYTES`].
     #[error("the message has {actual} bytes, at most {limit} are accepted")]
     TooLarge {
         /// Bytes accepted.

@@ -1,7 +1,7 @@
 //! The fields of a request that a server needs before it queues it, read without its tensors.
 
 use crate::fields::Fields;
-use crate::{Invalid, LibraryId, MessageLimits, check};
+use crate::{Invalid, LibraryId, check, limits};
 
 /// The fields that decide on admission.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -20,8 +20,8 @@ impl Header {
     /// # Errors
     /// [`Invalid`] if the message is too large, not protobuf, of another version, or has a malformed header.
     /// [`crate::Request::decode`] checks the other fields.
-    pub fn decode(bytes: &[u8], limits: &MessageLimits) -> Result<Self, Invalid> {
-        check::size(bytes, limits.message_bytes)?;
+    pub fn decode(bytes: &[u8]) -> Result<Self, Invalid> {
+        check::size(bytes, limits::MESSAGE_BYTES)?;
         let (mut version, mut library, mut sequence, mut budget_us) = (0, [].as_slice(), 0, 0);
         for field in Fields::of(bytes) {
             let (tag, value) = field?;

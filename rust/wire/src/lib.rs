@@ -5,7 +5,7 @@
 //! inside the declared domain and weights on the simplex. The crate contains neither network nor mathematics.
 //!
 //! ```
-//! use egp_wire::{MessageLimits, Request};
+//! use egp_wire::Request;
 //!
 //! let request = Request {
 //!     library: [7; 32],
@@ -15,7 +15,7 @@
 //!     reference: vec![[0.0, 0.0, 12.0, 0.0]; 21],
 //!     ..Request::default()
 //! };
-//! assert_eq!(Request::decode(&request.encode(), &MessageLimits::default())?, request);
+//! assert_eq!(Request::decode(&request.encode())?, request);
 //! # Ok::<(), egp_wire::Invalid>(())
 //! ```
 
@@ -29,7 +29,7 @@ mod hex;
 pub mod keys;
 mod library_file;
 pub mod library_keys;
-mod limits;
+pub mod limits;
 mod output;
 mod predictions;
 mod ready;
@@ -51,7 +51,6 @@ pub use header::Header;
 pub use hex::from_hex;
 pub use library_file::LibraryFile;
 pub use library_keys::LIBRARY_PART_BYTES;
-pub use limits::MessageLimits;
 pub use output::print_line;
 pub use predictions::Predictions;
 pub use proto::{Load, Status, Timing};

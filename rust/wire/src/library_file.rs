@@ -2,7 +2,7 @@
 
 use prost::Message as _;
 
-use crate::{Invalid, LIBRARY_PART_BYTES, MessageLimits, VERSION, check, proto};
+use crate::{Invalid, LIBRARY_PART_BYTES, VERSION, check, limits, proto};
 
 /// Answer of a replica that has a library.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -33,8 +33,8 @@ impl LibraryFile {
     ///
     /// # Errors
     /// [`Invalid`], which names the first field at fault.
-    pub fn decode(bytes: &[u8], limits: &MessageLimits) -> Result<Self, Invalid> {
-        check::size(bytes, limits.message_bytes)?;
+    pub fn decode(bytes: &[u8]) -> Result<Self, Invalid> {
+        check::size(bytes, limits::MESSAGE_BYTES)?;
         let raw = proto::LibraryFile::decode(bytes)?;
         check::version(raw.version)?;
         if raw.bytes == 0 {
@@ -61,21 +61,17 @@ mod tests {
 
     #[test]
     fn messages_read_back_and_mistakes_are_named() {
-        let limits = MessageLimits::default();
         let file = LibraryFile {
             bytes: 65_537,
             signature: Some([3; 64]),
         };
-        assert_eq!(LibraryFile::decode(&file.encode(), &limits), Ok(file));
+        assert_eq!(LibraryFile::decode(&file.encode()), Ok(file));
         assert_eq!(file.parts(), 2);
         let unsigned = LibraryFile {
             bytes: 65_536,
             signature: None,
         };
-        assert_eq!(
-            LibraryFile::decode(&unsigned.encode(), &limits),
-            Ok(unsigned)
-        );
+        assert_eq!(LibraryFile::decode(&unsigned.encode()), Ok(unsigned));
         assert_eq!(unsigned.parts(), 1);
         let wrong = |version, bytes, signature| {
             let message = proto::LibraryFile {
@@ -83,12 +79,12 @@ mod tests {
                 bytes,
                 signature,
             };
-            let decoded = LibraryFile::decode(&message.encode_to_vec(), &limits);
+            let decoded = LibraryFile::decode(&message.encode_to_vec());
             decoded.unwrap_err().to_string()
         };
         assert!(wrong(2, 1, Vec::new()).contains("version 2"));
         assert!(wrong(1, 0, Vec::new()).starts_with("bytes:"));
         assert!(wrong(1, 1, vec![0; 63]).starts_with("signature:"));
-        assert!(LibraryFile::decode(&[0xff], &limits).is_err());
+        assert!(LibraryFile::decode(&[0xff]).is_err());
     }
 }

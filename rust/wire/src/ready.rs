@@ -5,7 +5,7 @@ use prost::Message as _;
 
 use crate::error::printable;
 use crate::proto::{self, VehicleParameters as VehicleMessage};
-use crate::{GpInput, Invalid, LibraryId, MessageLimits, VERSION, check};
+use crate::{GpInput, Invalid, LibraryId, VERSION, check, limits};
 
 /// Answer of a replica's `ready` key.
 #[derive(Clone, Debug, PartialEq)]
@@ -70,8 +70,8 @@ impl Ready {
     ///
     /// # Errors
     /// [`Invalid`], which names the first field at fault.
-    pub fn decode(bytes: &[u8], limits: &MessageLimits) -> Result<Self, Invalid> {
-        check::size(bytes, limits.message_bytes)?;
+    pub fn decode(bytes: &[u8]) -> Result<Self, Invalid> {
+        check::size(bytes, limits::MESSAGE_BYTES)?;
         let raw = proto::Ready::decode(bytes)?;
         check::version(raw.version)?;
         if !(1e-4..=1.0).contains(&raw.dt) {
@@ -80,12 +80,12 @@ impl Ready {
                 format!("expected seconds from 1e-4 to 1, got {}", raw.dt),
             ));
         }
-        check::count("horizon", raw.horizon as usize, limits.horizon)?;
-        check::count("members", raw.members.len(), limits.members)?;
+        check::count("horizon", raw.horizon as usize, limits::HORIZON)?;
+        check::count("members", raw.members.len(), limits::MEMBERS)?;
         check::at_most(
             "history",
             raw.history as usize,
-            limits.history,
+            limits::HISTORY,
             "the limit of this side",
         )?;
         check::at_most(

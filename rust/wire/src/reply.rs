@@ -5,7 +5,7 @@ use crate::friction::Friction;
 use crate::tensor::{Tensor, read_predictions, read_rows, read_vector};
 use crate::writer::Writer;
 use crate::{
-    GpOutput, Input, Invalid, LibraryId, MessageLimits, Predictions, State, Status, VERSION, check,
+    GpOutput, Input, Invalid, LibraryId, Predictions, State, Status, VERSION, check, limits,
 };
 
 /// The status in lower case without its prefix, for example `iteration_limit`, as metrics, logs and programs show it.
@@ -85,11 +85,11 @@ impl Reply {
     ///
     /// # Errors
     /// [`Invalid`], which names the first field at fault.
-    pub fn decode(bytes: &[u8], limits: &MessageLimits) -> Result<Self, Invalid> {
-        check::size(bytes, limits.message_bytes)?;
+    pub fn decode(bytes: &[u8]) -> Result<Self, Invalid> {
+        check::size(bytes, limits::MESSAGE_BYTES)?;
         let raw = Raw::read(bytes)?;
         check::version(raw.version)?;
-        let stages = limits.horizon + 1;
+        let stages = limits::HORIZON + 1;
         let mut reply = Self {
             library: check::library(raw.library)?,
             sequence: raw.sequence,
@@ -102,14 +102,14 @@ impl Reply {
             ..Self::default()
         };
         read_rows("plan_x", raw.plan_x, stages, &mut reply.plan_x)?;
-        read_rows("plan_u", raw.plan_u, limits.horizon, &mut reply.plan_u)?;
-        read_vector("weights", raw.weights, limits.members, &mut reply.weights)?;
+        read_rows("plan_u", raw.plan_u, limits::HORIZON, &mut reply.plan_u)?;
+        read_vector("weights", raw.weights, limits::MEMBERS, &mut reply.weights)?;
         read_rows("sigma", raw.sigma, stages, &mut reply.sigma)?;
         read_predictions(
             "history_f",
             raw.history_f,
-            limits.history,
-            limits.members,
+            limits::HISTORY,
+            limits::MEMBERS,
             &mut reply.history_f,
         )?;
         reply.validate()?;

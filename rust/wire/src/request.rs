@@ -4,8 +4,8 @@ use crate::fields::Fields;
 use crate::tensor::{Tensor, read_array, read_predictions, read_rows, read_vector};
 use crate::writer::Writer;
 use crate::{
-    FrictionRow, GpInput, GpOutput, Input, Invalid, LibraryId, MessageLimits, Predictions,
-    ReferenceRow, State, VERSION, WidthRow, check,
+    FrictionRow, GpInput, GpOutput, Input, Invalid, LibraryId, Predictions, ReferenceRow, State,
+    VERSION, WidthRow, check, limits,
 };
 
 /// The request of one control step. T is `reference.len() - 1`, N the number of members.
@@ -80,9 +80,9 @@ impl Request {
     ///
     /// # Errors
     /// [`Invalid`], which names the first field at fault.
-    pub fn decode(bytes: &[u8], limits: &MessageLimits) -> Result<Self, Invalid> {
+    pub fn decode(bytes: &[u8]) -> Result<Self, Invalid> {
         let mut request = Self::default();
-        request.decode_from(bytes, limits)?;
+        request.decode_from(bytes)?;
         Ok(request)
     }
 
@@ -90,19 +90,19 @@ impl Request {
     ///
     /// # Errors
     /// [`Invalid`], which names the first field at fault. The content of the request is then unspecified.
-    pub fn decode_from(&mut self, bytes: &[u8], limits: &MessageLimits) -> Result<(), Invalid> {
-        check::size(bytes, limits.message_bytes)?;
+    pub fn decode_from(&mut self, bytes: &[u8]) -> Result<(), Invalid> {
+        check::size(bytes, limits::MESSAGE_BYTES)?;
         let raw = Raw::read(bytes)?;
         check::version(raw.version)?;
-        let (stages, history) = (limits.horizon + 1, limits.history);
+        let (stages, history) = (limits::HORIZON + 1, limits::HISTORY);
         self.library = check::library(raw.library)?;
         self.sequence = raw.sequence;
         self.budget_us = raw.budget_us;
         self.x = read_array("x", raw.x)?;
         self.u_prev = read_array("u_prev", raw.u_prev)?;
-        read_vector("weights", raw.weights, limits.members, &mut self.weights)?;
+        read_vector("weights", raw.weights, limits::MEMBERS, &mut self.weights)?;
         read_rows("plan_x", raw.plan_x, stages, &mut self.plan_x)?;
-        read_rows("plan_u", raw.plan_u, limits.horizon, &mut self.plan_u)?;
+        read_rows("plan_u", raw.plan_u, limits::HORIZON, &mut self.plan_u)?;
         self.plan_shift = raw.plan_shift;
         read_rows("history_z", raw.history_z, history, &mut self.history_z)?;
         read_rows("history_y", raw.history_y, history, &mut self.history_y)?;
@@ -110,7 +110,7 @@ impl Request {
             "history_f",
             raw.history_f,
             history,
-            limits.members,
+            limits::MEMBERS,
             &mut self.history_f,
         )?;
         read_rows("reference", raw.reference, stages, &mut self.reference)?;
@@ -122,23 +122,23 @@ impl Request {
             stages + 1,
             &mut self.road_friction,
         )?;
-        self.validate(limits)
+        self.validate()
     }
 
     /// Checks the values and how the fields fit together; `decode` has done so already.
     ///
     /// # Errors
     /// [`Invalid::Field`] for the first field at fault.
-    pub fn validate(&self, limits: &MessageLimits) -> Result<(), Invalid> {
+    pub fn validate(&self) -> Result<(), Invalid> {
         check::budget(self.budget_us)?;
         check_state(&self.x)?;
         check::domain("u_prev", &[self.u_prev], &check::INPUT)?;
-        if !(1..=limits.horizon).contains(&self.horizon()) {
+        if !(1..=limits::HORIZON).contains(&self.horizon()) {
             return Err(Invalid::field(
                 "reference",
                 format!(
                     "expected T+1 rows with T from 1 to {}, got {}",
-                    limits.horizon,
+                    limits::HORIZON,
                     self.reference.len()
                 ),
             ));
@@ -146,7 +146,7 @@ impl Request {
         check_reference(&self.reference, &self.widths)?;
         check_road_friction(&self.road_friction, self.reference.len())?;
         self.validate_plan()?;
-        self.validate_history(limits)
+        self.validate_history()
     }
 
     fn validate_plan(&self) -> Result<(), Invalid> {
@@ -181,15 +181,15 @@ impl Request {
         )
     }
 
-    fn validate_history(&self, limits: &MessageLimits) -> Result<(), Invalid> {
+    fn validate_history(&self) -> Result<(), Invalid> {
         check::simplex("weights", &self.weights)?;
         check::domain("history_z", &self.history_z, &check::GP_INPUT)?;
         check::domain("history_y", &self.history_y, &check::GP_OUTPUT)?;
         let rows = self.history_z.len();
-        if rows > limits.history {
+        if rows > limits::HISTORY {
             return Err(Invalid::field(
                 "history_z",
-                format!("expected at most {} rows, got {rows}", limits.history),
+                format!("expected at most {} rows, got {rows}", limits::HISTORY),
             ));
         }
         check::row_count(

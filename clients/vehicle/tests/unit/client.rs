@@ -4,7 +4,7 @@
 use egp_driver::QueryId;
 use egp_gate::Limits;
 use egp_parameters::VehicleParameters;
-use egp_wire::{MessageLimits, Ready, Reply, Request, Status};
+use egp_wire::{Ready, Reply, Request, Status};
 
 use serde_json::Value;
 
@@ -58,9 +58,7 @@ fn questions_of_a_period_that_was_given_up_have_no_spans() {
     let [fleet, car] = ["test", "car"].map(|name| name.parse().unwrap());
     client.traces = Some(StepTraces::open(&path, 1.0, &fleet, &car).unwrap());
     let replica: Name = "a".parse().unwrap();
-    client
-        .driver
-        .replica_appeared(Duration::ZERO, replica.clone());
+    client.driver.replica_appeared(replica.clone());
     client.driver.replica_fits(&replica);
     let (now, measurement) = (client.epoch.elapsed(), measurement(&client));
     let deadline = now + Duration::from_secs(60);
@@ -89,9 +87,7 @@ fn a_program_that_is_held_up_after_an_answer_has_come_does_not_drive_its_plan() 
     for (ago, held_up) in [(0, false), (10, true)] {
         let mut client = client();
         let replica: Name = "a".parse().unwrap();
-        client
-            .driver
-            .replica_appeared(Duration::ZERO, replica.clone());
+        client.driver.replica_appeared(replica.clone());
         client.driver.replica_fits(&replica);
         // The period began, and was answered, so many seconds ago.
         let ago = Duration::from_secs(ago);
@@ -102,7 +98,7 @@ fn a_program_that_is_held_up_after_an_answer_has_come_does_not_drive_its_plan() 
         let Some(Action::Ask(query)) = client.driver.next_action() else {
             panic!("the replica is asked");
         };
-        let request = Request::decode(&query.payload, &MessageLimits::default()).unwrap();
+        let request = Request::decode(&query.payload).unwrap();
         let reply = Reply {
             library: request.library,
             sequence: request.sequence,

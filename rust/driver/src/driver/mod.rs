@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use egp_gate::{Gate, Mode};
 use egp_wire::keys::Name;
-use egp_wire::{Code, MAX_BUDGET_US, MessageLimits, Ready, Timing, WireError};
+use egp_wire::{Code, MAX_BUDGET_US, Ready, Timing, WireError, limits};
 use prost::Message as _;
 
 use crate::action::{Action, QueryId};
@@ -27,7 +27,7 @@ use open::{Pending, Probe, Running};
 use period::Answer;
 
 // The gate takes every plan that a message can contain.
-const _: () = assert!(egp_gate::MAX_HORIZON == MessageLimits::DEFAULT.horizon);
+const _: () = assert!(egp_gate::MAX_HORIZON == limits::HORIZON);
 
 /// Time since a moment that the transport chooses and then keeps; it must not run backwards.
 pub type Time = Duration;
@@ -142,7 +142,7 @@ impl Driver {
 
     /// A replica announces itself. It is probed, and is asked for steps once it has answered that it serves the vehicle's
     /// library for a vehicle that the gate's limits fit: replies do not show for which vehicle their plans are made.
-    pub fn replica_appeared(&mut self, _now: Time, replica: Name) {
+    pub fn replica_appeared(&mut self, replica: Name) {
         self.replicas.appeared(replica);
     }
 

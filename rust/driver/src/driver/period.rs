@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use egp_gate::Command;
 use egp_wire::keys::{self, Name};
-use egp_wire::{Code, Invalid, MessageLimits, Ready, Reply, State, Timing, WireError};
+use egp_wire::{Code, Invalid, Ready, Reply, State, Timing, WireError};
 
 use super::{Driver, Pending, Probe, Time};
 use crate::action::{Action, Query, QueryId};
@@ -345,7 +345,7 @@ impl Driver {
         let Some(Probe { replica, sent, .. }) = self.probes.remove(&id) else {
             return;
         };
-        let ready = Ready::decode(answer, &MessageLimits::default()).ok();
+        let ready = Ready::decode(answer).ok();
         if ready.is_some_and(|ready| self.suits(&ready)) {
             if now.saturating_sub(sent) <= self.period() {
                 self.replicas.probe_answered(&replica, sent);

@@ -1,7 +1,7 @@
 //! The carry through lost, late and repeated replies.
 
 use egp_driver::Carry;
-use egp_wire::{MessageLimits, Predictions, Reply, Request, Status};
+use egp_wire::{Predictions, Reply, Request, Status};
 
 const LIBRARY: [u8; 32] = [3; 32];
 const HORIZON: usize = 4;
@@ -13,7 +13,7 @@ fn state(v_x: f64) -> [f64; 7] {
 /// One control period at the speed `v_x`; the request must be valid.
 fn period(carry: &mut Carry, v_x: f64, force: f64) -> Request {
     let request = carry.request(state(v_x), vec![[0.0; 4]; HORIZON + 1], vec![], 1000);
-    request.validate(&MessageLimits::default()).unwrap();
+    request.validate().unwrap();
     carry.applied([force, 0.0]);
     request
 }

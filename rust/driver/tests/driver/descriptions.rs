@@ -27,7 +27,7 @@ fn heavy() -> Ready {
 /// A driver whose replica `a` fits, while `b` has only announced itself.
 fn one_of_two() -> Driver {
     let mut driver = driver(&["a"]);
-    driver.replica_appeared(ms(0), name("b"));
+    driver.replica_appeared(name("b"));
     driver
 }
 
@@ -110,7 +110,7 @@ fn a_description_counts_although_it_comes_late() {
 #[test]
 fn the_only_replica_is_asked_in_the_period_in_which_it_describes_itself() {
     let mut driver = driver(&[]);
-    driver.replica_appeared(ms(0), name("a"));
+    driver.replica_appeared(name("a"));
     tick(&mut driver, ms(20));
     let probe = probed(&mut driver);
     assert!(driver.next_action().is_none(), "the description may come");
@@ -151,7 +151,7 @@ fn without_a_replica_that_fits_the_vehicle_waits_braked() {
     ];
     for (end, outcome) in ends {
         let mut driver = driver(&[]);
-        driver.replica_appeared(ms(0), name("a"));
+        driver.replica_appeared(name("a"));
         tick(&mut driver, ms(20));
         let probe = probed(&mut driver);
         end(&mut driver, &probe);
@@ -178,10 +178,10 @@ fn a_replica_that_fits_takes_over_in_the_period_in_which_the_other_one_fails() {
 #[test]
 fn a_process_of_the_same_name_describes_itself_anew() {
     let mut driver = driver(&["a"]);
-    driver.replica_appeared(ms(0), name("b"));
+    driver.replica_appeared(name("b"));
     let probe = probing_period(&mut driver, ms(20));
     driver.replica_gone(ms(30), &name("b"));
-    driver.replica_appeared(ms(31), name("b"));
+    driver.replica_appeared(name("b"));
     // This is an answer of the process that has gone.
     driver.replied(ms(32), probe.id, &served().encode(), b"");
     let probe = probing_period(&mut driver, ms(40));
@@ -198,7 +198,7 @@ fn a_replica_that_went_is_not_asked_later_in_the_period() {
     let mut both = ["a", "b"].map(name).into_iter();
     let other = both.find(|name| *name != query.replica).unwrap();
     driver.replica_gone(ms(21), &other);
-    driver.replica_appeared(ms(22), other);
+    driver.replica_appeared(other);
     driver.ended(ms(23), query.id);
     assert_eq!(decided(&mut driver).asked, 1);
 }

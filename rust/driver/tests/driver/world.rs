@@ -6,7 +6,7 @@ use egp_driver::{Action, Driver, DriverConfig, Measurement, Query, Step};
 use egp_gate::Limits as GateLimits;
 use egp_parameters::VehicleParameters;
 use egp_wire::keys::Name;
-use egp_wire::{Code, MessageLimits, Predictions, Ready, Reply, Request, Status, WireError};
+use egp_wire::{Code, Predictions, Ready, Reply, Request, Status, WireError};
 
 pub(crate) const CAR: VehicleParameters = VehicleParameters::FORD_ESCORT;
 pub(crate) const HORIZON: u32 = 4;
@@ -67,7 +67,7 @@ pub(crate) fn configured(replicas: &[&str], config: DriverConfig) -> Driver {
 
 /// A replica announces itself that is known to fit the vehicle.
 pub(crate) fn appear(driver: &mut Driver, now: Duration, replica: &Name) {
-    driver.replica_appeared(now, replica.clone());
+    driver.replica_appeared(replica.clone());
     driver.replica_fits(replica);
 }
 
@@ -114,7 +114,7 @@ pub(crate) fn decided(driver: &mut Driver) -> Step {
 }
 
 pub(crate) fn request(query: &Query) -> Request {
-    Request::decode(&query.payload, &MessageLimits::default()).unwrap()
+    Request::decode(&query.payload).unwrap()
 }
 
 /// What a sound replica replies: a plan that drives with 100 N.

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use egp_core::{Kernel, Library, library};
 use egp_testing::{libraries, messages};
-use egp_wire::{Code, LibraryId, MessageLimits, Reply};
+use egp_wire::{Code, LibraryId, Reply};
 
 use crate::config::ServiceConfig;
 use crate::handler::Handler as _;
@@ -73,7 +73,7 @@ pub fn libraries_change_between_steps(file: &Path) {
                     match libraries.step(&mut memory, &made.request, &mut reply) {
                         Ok(_) => {
                             served = true;
-                            let reply = Reply::decode(&reply, &MessageLimits::default()).unwrap();
+                            let reply = Reply::decode(&reply).unwrap();
                             assert_eq!(reply.library, made.id);
                         }
                         Err(error) => {

@@ -9,7 +9,7 @@ use counting::allocations;
 use egp_core::{StepReply, StepRequest, Workspace, step};
 use egp_driver::Carry;
 use egp_testing::requests;
-use egp_wire::{MessageLimits, Reply, Status};
+use egp_wire::{Reply, Status};
 
 /// The allocator of this program: the system's, with a count for each thread.
 mod counting {
@@ -65,7 +65,7 @@ fn drive(periods: usize, mut ask: impl FnMut(usize, &[u8], &mut Vec<u8>) -> Stat
         assert_eq!(ask(period, &request.encode(), &mut reply), Status::Solved);
         // Every fourth reply is lost, so that predictions are missing and the plan is older.
         if period % 4 != 3 {
-            let reply = Reply::decode(&reply, &MessageLimits::default()).unwrap();
+            let reply = Reply::decode(&reply).unwrap();
             carry.accept(&reply).unwrap();
         }
     }

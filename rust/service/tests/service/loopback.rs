@@ -11,7 +11,7 @@ use egp_engine::{Engine, EngineWorkspace};
 use egp_service::{Handler, ServiceConfig};
 use egp_testing::libraries;
 pub use egp_testing::ports::free_endpoint;
-use egp_wire::{Header, LibraryId, MessageLimits, Ready, Request, Status, Timing, WireError, keys};
+use egp_wire::{Header, LibraryId, Ready, Request, Status, Timing, WireError, keys};
 use prost::Message as _;
 use zenoh::Wait;
 
@@ -69,7 +69,7 @@ impl<F: Fn(u64) + Send + Sync + 'static> Handler for Watched<F> {
         request: &[u8],
         reply: &mut Vec<u8>,
     ) -> Result<Status, WireError> {
-        (self.before)(Header::decode(request, &MessageLimits::default())?.sequence);
+        (self.before)(Header::decode(request)?.sequence);
         self.engine.step(workspace, request, reply)
     }
 }

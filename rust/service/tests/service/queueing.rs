@@ -9,7 +9,7 @@ use crate::loopback::{
     Client, Outcome, Watched, config, engine, first_request, free_endpoint, step_key,
 };
 use egp_service::{Server, ServiceConfig};
-use egp_wire::{Code, MessageLimits, Reply, WireError};
+use egp_wire::{Code, Reply, WireError};
 
 const PATIENCE: Duration = Duration::from_secs(60);
 
@@ -62,11 +62,7 @@ impl Setup {
 
 fn sequence(outcome: &Outcome) -> u64 {
     match outcome {
-        Outcome::Answer { payload, .. } => {
-            Reply::decode(payload, &MessageLimits::default())
-                .unwrap()
-                .sequence
-        }
+        Outcome::Answer { payload, .. } => Reply::decode(payload).unwrap().sequence,
         other => panic!("{other:?}"),
     }
 }

@@ -13,7 +13,7 @@ use egp_core::{Kernel, library};
 use egp_driver::Carry;
 use egp_service::{Handler as _, Libraries, ReloadError, Reloaded, ServiceConfig};
 use egp_testing::libraries;
-use egp_wire::{Code, LibraryId, MessageLimits, Ready, Reply, Status, keys};
+use egp_wire::{Code, LibraryId, Ready, Reply, Status, keys};
 
 /// Replaces a library file as `egp train` does, and returns the hash of the new content.
 fn replace(path: &Path, seed: u64) -> LibraryId {
@@ -46,7 +46,7 @@ fn a_request_is_answered_by_the_library_that_it_states() {
         let mut reply = Vec::new();
         let request = request(&mut Carry::new(id, 10)).encode();
         let ended = served.step(&mut memory, &request, &mut reply);
-        let reply = ended.map(|_| Reply::decode(&reply, &MessageLimits::default()).unwrap());
+        let reply = ended.map(|_| Reply::decode(&reply).unwrap());
         reply.map(|reply| reply.library)
     };
     assert_eq!((step(first), step(other)), (Ok(first), Ok(other)));
@@ -93,7 +93,7 @@ fn drive(client: Client, id: LibraryId, vehicle: &str, stop: Arc<AtomicBool>) ->
             let Outcome::Answer { payload, .. } = client.ask(&key, &bytes) else {
                 panic!("no answer after {answered}");
             };
-            let reply = Reply::decode(&payload, &MessageLimits::default()).unwrap();
+            let reply = Reply::decode(&payload).unwrap();
             assert_eq!((reply.status, reply.library), (Status::Solved, id));
             carry.accept(&reply).unwrap();
             answered += 1;
@@ -121,9 +121,7 @@ fn ten_reloads_under_load_miss_no_step() {
     let client = Client::connect(&endpoint);
     let key = keys::ready(&"main".parse().unwrap());
     let ready = || match client.ask(&key, &[]) {
-        Outcome::Answer { payload, .. } => {
-            Ready::decode(&payload, &MessageLimits::default()).unwrap()
-        }
+        Outcome::Answer { payload, .. } => Ready::decode(&payload).unwrap(),
         other => panic!("{other:?}"),
     };
     let stop = Arc::new(AtomicBool::new(false));

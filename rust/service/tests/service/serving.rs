@@ -6,7 +6,7 @@ use crate::loopback::{
 };
 use egp_driver::Carry;
 use egp_service::{Server, check};
-use egp_wire::{Load, MessageLimits, Ready, Reply, Status, keys};
+use egp_wire::{Load, Ready, Reply, Status, keys};
 use prost::Message as _;
 use zenoh::Wait;
 
@@ -29,7 +29,7 @@ fn replies_are_the_engines_bits_with_timings_beside_them() {
         local.step(&mut workspace, &bytes, &mut expected).unwrap();
         assert!(payload == expected, "bits differ");
         assert!(timing.unwrap().step_us > 0);
-        let reply = Reply::decode(&payload, &MessageLimits::default()).unwrap();
+        let reply = Reply::decode(&payload).unwrap();
         assert_eq!((reply.status, reply.sigma.len()), (Status::Solved, 21));
         carry.accept(&reply).unwrap();
     }
@@ -48,14 +48,10 @@ fn a_replica_tells_what_it_serves_and_how_it_fares() {
     };
     let main = "main".parse().unwrap();
     assert_eq!(text(keys::health(&main)), b"ok");
-    let ready = Ready::decode(&text(keys::ready(&main)), &MessageLimits::default()).unwrap();
+    let ready = Ready::decode(&text(keys::ready(&main))).unwrap();
     assert_eq!(ready, engine().describe());
     assert_eq!(
-        Ready::decode(
-            &text("egp/v1/r/*/ready".to_owned()),
-            &MessageLimits::default()
-        )
-        .unwrap(),
+        Ready::decode(&text("egp/v1/r/*/ready".to_owned())).unwrap(),
         ready
     );
     let metrics = String::from_utf8(text(keys::metrics(&main))).unwrap();

@@ -2,8 +2,7 @@
 
 use egp_testing::messages;
 use egp_wire::{
-    Header, KeyRing, LibraryFile, MessageLimits, Ready, Reply, Request, Seal, Status, WireError,
-    proto,
+    Header, KeyRing, LibraryFile, Ready, Reply, Request, Seal, Status, WireError, limits, proto,
 };
 use prost::Message as _;
 
@@ -33,12 +32,11 @@ fn all_finite(rows: &[impl AsRef<[f64]>]) -> bool {
 #[test]
 fn an_accepted_request_is_in_its_domain_and_encodes_to_itself() {
     fuzz!(golden("wire_request"), Words::Doubles, |bytes: Vec<u8>| {
-        let limits = MessageLimits::default();
-        let Ok(request) = Request::decode(&bytes, &limits) else {
+        let Ok(request) = Request::decode(&bytes) else {
             return;
         };
         let horizon = request.horizon();
-        assert!((1..=limits.horizon).contains(&horizon));
+        assert!((1..=limits::HORIZON).contains(&horizon));
         assert!(all_finite(&[request.x]) && all_finite(&request.reference));
         assert!(request.weights.is_empty() || is_simplex(&request.weights));
         assert!(all_finite(&request.plan_x) && all_finite(&request.plan_u));
@@ -51,12 +49,9 @@ fn an_accepted_request_is_in_its_domain_and_encodes_to_itself() {
         assert_eq!(request.history_z.len(), request.history_y.len());
         assert!(request.history_f.len() <= request.history_z.len());
 
-        assert_eq!(
-            Request::decode(&request.encode(), &limits).unwrap(),
-            request
-        );
+        assert_eq!(Request::decode(&request.encode()).unwrap(), request);
         let second = proto::StepRequest::decode(&*bytes).unwrap().encode_to_vec();
-        assert_eq!(Request::decode(&second, &limits).unwrap(), request);
+        assert_eq!(Request::decode(&second).unwrap(), request);
     });
 }
 
@@ -67,23 +62,18 @@ fn an_accepted_library_file_encodes_to_itself() {
         LibraryFile { bytes, signature }.encode()
     });
     fuzz!(examples, Words::Doubles, |bytes: Vec<u8>| {
-        let limits = MessageLimits::default();
-        let Ok(file) = LibraryFile::decode(&bytes, &limits) else {
+        let Ok(file) = LibraryFile::decode(&bytes) else {
             return;
         };
         assert!(file.bytes > 0 && file.parts() > 0);
-        assert_eq!(LibraryFile::decode(&file.encode(), &limits), Ok(file));
+        assert_eq!(LibraryFile::decode(&file.encode()), Ok(file));
     });
 }
 
 #[test]
 fn a_header_says_what_its_request_says() {
     fuzz!(golden("wire_request"), Words::Doubles, |bytes: Vec<u8>| {
-        let limits = MessageLimits::default();
-        let (header, request) = (
-            Header::decode(&bytes, &limits),
-            Request::decode(&bytes, &limits),
-        );
+        let (header, request) = (Header::decode(&bytes), Request::decode(&bytes));
         if let Ok(request) = request {
             let header = header.unwrap();
             assert_eq!(header.library, request.library);
@@ -104,8 +94,7 @@ fn a_header_says_what_its_request_says() {
 #[test]
 fn an_accepted_reply_is_in_its_domain_and_encodes_to_itself() {
     fuzz!(golden("wire_reply"), Words::Doubles, |bytes: Vec<u8>| {
-        let limits = MessageLimits::default();
-        let Ok(reply) = Reply::decode(&bytes, &limits) else {
+        let Ok(reply) = Reply::decode(&bytes) else {
             return;
         };
         let horizon = reply.plan_u.len();
@@ -122,23 +111,22 @@ fn an_accepted_reply_is_in_its_domain_and_encodes_to_itself() {
 
         // Compared as bytes, because the diagnostic numbers of a reply may be NaN.
         let again = reply.encode();
-        assert_eq!(Reply::decode(&again, &limits).unwrap().encode(), again);
+        assert_eq!(Reply::decode(&again).unwrap().encode(), again);
         let second = proto::StepReply::decode(&*bytes).unwrap().encode_to_vec();
-        assert_eq!(Reply::decode(&second, &limits).unwrap().encode(), again);
+        assert_eq!(Reply::decode(&second).unwrap().encode(), again);
     });
 }
 
 #[test]
 fn an_accepted_description_of_a_replica_is_in_its_domain_and_encodes_to_itself() {
     fuzz!(golden("wire_ready"), Words::Doubles, |bytes: Vec<u8>| {
-        let limits = MessageLimits::default();
-        let Ok(ready) = Ready::decode(&bytes, &limits) else {
+        let Ok(ready) = Ready::decode(&bytes) else {
             return;
         };
         assert!((1e-4..=1.0).contains(&ready.dt));
-        assert!(ready.horizon as usize <= limits.horizon);
-        assert!(ready.history as usize <= limits.history);
-        assert_eq!(Ready::decode(&ready.encode(), &limits).unwrap(), ready);
+        assert!(ready.horizon as usize <= limits::HORIZON);
+        assert!(ready.history as usize <= limits::HISTORY);
+        assert_eq!(Ready::decode(&ready.encode()).unwrap(), ready);
     });
 }
 

@@ -1,7 +1,7 @@
 //! Both sides of every limit of what a service answers: replies and descriptions of a replica.
 
 use egp_testing::messages;
-use egp_wire::{Friction, MessageLimits, Ready, Reply, Status};
+use egp_wire::{Friction, Ready, Reply, Status, limits};
 
 use crate::borders::{decoded_reply, field, refused_reply};
 
@@ -122,11 +122,10 @@ fn numbers_about_the_qp_and_deviations_are_accepted_up_to_their_limits() {
 
 #[test]
 fn a_replica_is_described_within_the_limits_of_the_client() {
-    let limits = MessageLimits::default();
     let bound = |limit: usize| u32::try_from(limit).unwrap();
-    let decode = |ready: &Ready| Ready::decode(&ready.encode(), &limits);
+    let decode = |ready: &Ready| Ready::decode(&ready.encode());
     for (dt, horizon, history) in [
-        (1.0, bound(limits.horizon), bound(limits.history)),
+        (1.0, bound(limits::HORIZON), bound(limits::HISTORY)),
         (1e-3, 1, 0),
     ] {
         let ready = Ready {
@@ -149,7 +148,7 @@ fn a_replica_is_described_within_the_limits_of_the_client() {
         };
         assert_eq!(field(&decode(&ready)), Some("dt"), "{dt}");
     }
-    let (long, deep) = (bound(limits.horizon) + 1, bound(limits.history) + 1);
+    let (long, deep) = (bound(limits::HORIZON) + 1, bound(limits::HISTORY) + 1);
     let long = Ready {
         horizon: long,
         ..messages::ready()
@@ -169,10 +168,10 @@ fn a_replica_is_described_within_the_limits_of_the_client() {
         members: vec!["dry".to_owned(); members],
         ..messages::ready()
     };
-    for accepted in [of(1), of(limits.members)] {
+    for accepted in [of(1), of(limits::MEMBERS)] {
         assert_eq!(decode(&accepted).unwrap(), accepted);
     }
-    for spoiled in [of(0), of(limits.members + 1)] {
+    for spoiled in [of(0), of(limits::MEMBERS + 1)] {
         assert_eq!(field(&decode(&spoiled)), Some("members"));
     }
     let with = |others: usize| Ready {
@@ -192,7 +191,7 @@ fn a_replica_is_described_within_the_limits_of_the_client() {
 
 #[test]
 fn the_envelope_has_a_finite_width_in_every_component() {
-    let decode = |ready: &Ready| Ready::decode(&ready.encode(), &MessageLimits::default());
+    let decode = |ready: &Ready| Ready::decode(&ready.encode());
     let with = |low: f64, high: f64| {
         let mut ready = messages::ready();
         (ready.envelope[0][3], ready.envelope[1][3]) = (low, high);

@@ -1,7 +1,8 @@
 //! Both sides of every limit: the last accepted value and the first one that is an error.
 
+use crate::padded;
 use egp_testing::messages;
-use egp_wire::{Invalid, MessageLimits, Predictions, Reply, Request};
+use egp_wire::{Invalid, Predictions, Reply, Request, limits};
 
 /// A request with a horizon of `horizon`, without plan, history and widths.
 fn request_over(horizon: usize) -> Request {
@@ -31,11 +32,11 @@ fn reply_over(horizon: usize) -> Reply {
 }
 
 fn decoded(request: &Request) -> Result<Request, Invalid> {
-    Request::decode(&request.encode(), &MessageLimits::default())
+    Request::decode(&request.encode())
 }
 
 pub(crate) fn decoded_reply(reply: &Reply) -> Result<Reply, Invalid> {
-    Reply::decode(&reply.encode(), &MessageLimits::default())
+    Reply::decode(&reply.encode())
 }
 
 /// The field that the error about `request` names.
@@ -91,7 +92,7 @@ fn weights_are_a_simplex_up_to_rounding() {
 
 #[test]
 fn the_longest_horizon_is_accepted_in_both_directions() {
-    let longest = MessageLimits::default().horizon;
+    let longest = limits::HORIZON;
     for horizon in [1, longest] {
         assert_eq!(decoded(&request_over(horizon)).unwrap().horizon(), horizon);
         let reply = reply_over(horizon);
@@ -113,25 +114,23 @@ fn the_longest_horizon_is_accepted_in_both_directions() {
 
 #[test]
 fn validation_without_decoding_knows_the_same_horizons() {
-    let limits = MessageLimits::default();
-    assert_eq!(field(&request_over(0).validate(&limits)), Some("reference"));
-    let long = request_over(limits.horizon + 1);
-    assert_eq!(field(&long.validate(&limits)), Some("reference"));
+    assert_eq!(field(&request_over(0).validate()), Some("reference"));
+    let long = request_over(limits::HORIZON + 1);
+    assert_eq!(field(&long.validate()), Some("reference"));
 }
 
 #[test]
 fn the_longest_history_is_accepted() {
-    let limits = MessageLimits::default();
-    let longest = request_after(limits.history);
+    let longest = request_after(limits::HISTORY);
     assert_eq!(decoded(&longest).unwrap(), longest);
-    let longer = request_after(limits.history + 1);
+    let longer = request_after(limits::HISTORY + 1);
     assert_eq!(refused(&longer), Some("history_z"));
-    assert_eq!(field(&longer.validate(&limits)), Some("history_z"));
+    assert_eq!(field(&longer.validate()), Some("history_z"));
 }
 
 #[test]
 fn the_largest_library_is_accepted() {
-    let members = MessageLimits::default().members;
+    let members = limits::MEMBERS;
     let request = |members: usize| Request {
         weights: vec![1.0 / members as f64; members],
         history_f: Predictions::new(members, vec![[0.0; 3]; 2 * members]),
@@ -179,20 +178,14 @@ fn predictions_fit_the_weights_when_both_are_there() {
     assert_eq!(refused(&request(3, &[0.5, 0.5])), Some("history_f"));
     let mut ragged = request(2, &[0.5, 0.5]);
     ragged.history_f.values.push([0.0; 3]);
-    assert_eq!(
-        field(&ragged.validate(&MessageLimits::default())),
-        Some("history_f")
-    );
+    assert_eq!(field(&ragged.validate()), Some("history_f"));
     let mut not_finite = request(2, &[0.5, 0.5]);
     not_finite.history_f.values[1][2] = -1e7;
     assert_eq!(decoded(&not_finite).unwrap(), not_finite);
     not_finite.history_f.values[1][2] = -1e7 * (1.0 + 1e-15);
     assert_eq!(refused(&not_finite), Some("history_f"));
     not_finite.history_f.values[1][2] = f64::INFINITY;
-    assert_eq!(
-        field(&not_finite.validate(&MessageLimits::default())),
-        Some("history_f")
-    );
+    assert_eq!(field(&not_finite.validate()), Some("history_f"));
 }
 
 #[test]
@@ -280,18 +273,12 @@ fn budgets_are_accepted_up_to_ten_seconds() {
 
 #[test]
 fn messages_are_accepted_up_to_the_limit_of_bytes() {
-    let tight = |bytes: usize| MessageLimits {
-        message_bytes: bytes,
-        ..MessageLimits::default()
-    };
-    let (request, reply) = (
-        messages::full_request().encode(),
-        messages::solved_reply().encode(),
-    );
-    Request::decode(&request, &tight(request.len())).unwrap();
-    Reply::decode(&reply, &tight(reply.len())).unwrap();
+    let request = |bytes| padded(messages::full_request().encode(), bytes);
+    let reply = |bytes| padded(messages::solved_reply().encode(), bytes);
+    Request::decode(&request(limits::MESSAGE_BYTES)).unwrap();
+    Reply::decode(&reply(limits::MESSAGE_BYTES)).unwrap();
     assert!(matches!(
-        Reply::decode(&reply, &tight(reply.len() - 1)),
+        Reply::decode(&reply(limits::MESSAGE_BYTES + 1)),
         Err(Invalid::TooLarge { .. })
     ));
 }

@@ -1,18 +1,15 @@
 //! The error about a message that is not valid names the field at fault.
 
+use crate::padded;
 use egp_testing::messages;
-use egp_wire::{Code, Header, Invalid, MessageLimits, Ready, Reply, Request, WireError, proto};
+use egp_wire::{Code, Header, Invalid, Ready, Reply, Request, WireError, limits, proto};
 use prost::Message as _;
-
-fn limits() -> MessageLimits {
-    MessageLimits::default()
-}
 
 /// The field that the error about a request names after `spoil`.
 fn refused(spoil: impl FnOnce(&mut Request)) -> String {
     let mut request = messages::full_request();
     spoil(&mut request);
-    match Request::decode(&request.encode(), &limits()) {
+    match Request::decode(&request.encode()) {
         Err(Invalid::Field { field, reason }) => format!("{field}: {reason}"),
         other => panic!("expected a refused field, got {other:?}"),
     }
@@ -22,7 +19,7 @@ fn refused(spoil: impl FnOnce(&mut Request)) -> String {
 fn refused_raw(spoil: impl FnOnce(&mut proto::StepRequest)) -> Invalid {
     let mut raw = proto::StepRequest::decode(&*messages::full_request().encode()).unwrap();
     spoil(&mut raw);
-    Request::decode(&raw.encode_to_vec(), &limits()).unwrap_err()
+    Request::decode(&raw.encode_to_vec()).unwrap_err()
 }
 
 #[test]
@@ -82,15 +79,12 @@ fn truncated_and_oversized_messages_are_refused() {
     let bytes = messages::cold_request().encode();
     for length in 0..bytes.len() {
         assert!(
-            Request::decode(&bytes[..length], &limits()).is_err(),
+            Request::decode(&bytes[..length]).is_err(),
             "{length} bytes were accepted"
         );
     }
-    let tight = MessageLimits {
-        message_bytes: bytes.len() - 1,
-        ..limits()
-    };
-    let error = Request::decode(&bytes, &tight).unwrap_err();
+    let bytes = padded(bytes, limits::MESSAGE_BYTES + 1);
+    let error = Request::decode(&bytes).unwrap_err();
     assert!(matches!(error, Invalid::TooLarge { .. }));
     assert_eq!(WireError::from(error).code, Code::Malformed);
 }
@@ -99,7 +93,7 @@ fn truncated_and_oversized_messages_are_refused() {
 fn a_tensor_that_comes_twice_is_refused() {
     let bytes = messages::full_request().encode();
     let twice = [bytes.as_slice(), bytes.as_slice()].concat();
-    let error = Request::decode(&twice, &limits()).unwrap_err();
+    let error = Request::decode(&twice).unwrap_err();
     assert_eq!(error.to_string(), "x: comes twice; send it once");
 }
 
@@ -107,7 +101,7 @@ fn a_tensor_that_comes_twice_is_refused() {
 fn a_field_of_another_type_is_refused() {
     // Field 5, `x`, as a number instead of a tensor.
     let bytes = [messages::cold_request().encode().as_slice(), &[5 << 3, 7]].concat();
-    let error = Request::decode(&bytes, &limits()).unwrap_err();
+    let error = Request::decode(&bytes).unwrap_err();
     assert!(
         error.to_string().starts_with("x: has another type"),
         "{error}"
@@ -116,7 +110,7 @@ fn a_field_of_another_type_is_refused() {
 
 #[test]
 fn the_header_is_read_alone() {
-    let header = Header::decode(&messages::full_request().encode(), &limits()).unwrap();
+    let header = Header::decode(&messages::full_request().encode()).unwrap();
     assert_eq!((header.sequence, header.budget_us), (7, 40_000));
     let spoiled = refused_raw(|r| r.budget_us = 20_000_000);
     assert!(spoiled.to_string().starts_with("budget_us"));
@@ -126,7 +120,7 @@ fn the_header_is_read_alone() {
 fn a_reply_cannot_carry_an_unsolved_plan() {
     let mut reply = messages::solved_reply();
     reply.status = egp_wire::Status::CheckFailed;
-    let error = Reply::decode(&reply.encode(), &limits()).unwrap_err();
+    let error = Reply::decode(&reply.encode()).unwrap_err();
     assert!(
         error
             .to_string()
@@ -134,7 +128,7 @@ fn a_reply_cannot_carry_an_unsolved_plan() {
     );
     let mut reply = messages::infeasible_reply();
     reply.status = egp_wire::Status::Solved;
-    assert!(Reply::decode(&reply.encode(), &limits()).is_err());
+    assert!(Reply::decode(&reply.encode()).is_err());
 }
 
 #[test]
@@ -143,12 +137,12 @@ fn an_invalid_vehicle_is_an_error_and_the_field_may_be_absent() {
     if let Some(vehicle) = &mut raw.vehicle {
         vehicle.mass = -1200.0;
     }
-    let error = Ready::decode(&raw.encode_to_vec(), &limits()).unwrap_err();
+    let error = Ready::decode(&raw.encode_to_vec()).unwrap_err();
     assert_eq!(
         error.to_string(),
         "vehicle: vehicle parameter `mass` must be finite and positive, got -1200 kg"
     );
     raw.vehicle = None;
-    let ready = Ready::decode(&raw.encode_to_vec(), &limits()).unwrap();
+    let ready = Ready::decode(&raw.encode_to_vec()).unwrap();
     assert_eq!(ready.vehicle, None);
 }

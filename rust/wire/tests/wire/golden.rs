@@ -1,7 +1,7 @@
 //! This version reads and writes the golden files.
 
 use egp_testing::messages;
-use egp_wire::{MessageLimits, Ready, Reply, Request, WireError};
+use egp_wire::{Ready, Reply, Request, WireError};
 
 fn golden(name: &str) -> Vec<u8> {
     let path = format!(
@@ -23,9 +23,8 @@ fn encoding_gives_the_golden_bytes() {
 
 #[test]
 fn decoding_the_golden_bytes_gives_the_messages() {
-    let limits = MessageLimits::default();
-    let request = |name| Request::decode(&golden(name), &limits).unwrap();
-    let reply = |name| Reply::decode(&golden(name), &limits).unwrap();
+    let request = |name| Request::decode(&golden(name)).unwrap();
+    let reply = |name| Reply::decode(&golden(name)).unwrap();
     assert_eq!(request("wire_request_full"), messages::full_request());
     assert_eq!(request("wire_request_cold"), messages::cold_request());
     assert_eq!(reply("wire_reply_solved"), messages::solved_reply());
@@ -35,7 +34,7 @@ fn decoding_the_golden_bytes_gives_the_messages() {
         messages::error()
     );
     assert_eq!(
-        Ready::decode(&golden("wire_ready"), &limits).unwrap(),
+        Ready::decode(&golden("wire_ready")).unwrap(),
         messages::ready()
     );
 }

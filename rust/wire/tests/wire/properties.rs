@@ -1,7 +1,7 @@
 //! Decoding does not panic on any bytes, and a decoded message encodes to itself.
 
 use egp_testing::messages;
-use egp_wire::{Header, MessageLimits, Predictions, Ready, Reply, Request, WireError, proto};
+use egp_wire::{Header, Predictions, Ready, Reply, Request, WireError, proto};
 use proptest::{collection::vec, prelude::*};
 use prost::Message as _;
 
@@ -36,9 +36,9 @@ prop_compose! {
 proptest! {
     #[test]
     fn requests_round_trip(request in request()) {
-        let decoded = Request::decode(&request.encode(), &MessageLimits::default()).unwrap();
+        let decoded = Request::decode(&request.encode()).unwrap();
         prop_assert_eq!(&decoded, &request);
-        let header = Header::decode(&request.encode(), &MessageLimits::default()).unwrap();
+        let header = Header::decode(&request.encode()).unwrap();
         prop_assert_eq!(header.sequence, request.sequence);
     }
 
@@ -51,19 +51,17 @@ proptest! {
 
     #[test]
     fn memory_of_a_former_request_leaves_no_trace(first in request(), second in request()) {
-        let limits = MessageLimits::default();
-        let mut memory = Request::decode(&first.encode(), &limits).unwrap();
-        memory.decode_from(&second.encode(), &limits).unwrap();
+        let mut memory = Request::decode(&first.encode()).unwrap();
+        memory.decode_from(&second.encode()).unwrap();
         prop_assert_eq!(memory, second);
     }
 
     #[test]
     fn arbitrary_bytes_never_panic(bytes in vec(any::<u8>(), 0..600)) {
-        let limits = MessageLimits::default();
-        let _ = Request::decode(&bytes, &limits);
-        let _ = Reply::decode(&bytes, &limits);
-        let _ = Ready::decode(&bytes, &limits);
-        let _ = Header::decode(&bytes, &limits);
+        let _ = Request::decode(&bytes);
+        let _ = Reply::decode(&bytes);
+        let _ = Ready::decode(&bytes);
+        let _ = Header::decode(&bytes);
         let _ = WireError::decode(&bytes);
     }
 
@@ -72,16 +70,15 @@ proptest! {
         for (_, mut bytes) in messages::all() {
             let at = at % bytes.len();
             bytes[at] ^= 1 << bit;
-            let limits = MessageLimits::default();
-            if let Ok(request) = Request::decode(&bytes, &limits) {
-                prop_assert!(request.validate(&limits).is_ok());
+            if let Ok(request) = Request::decode(&bytes) {
+                prop_assert!(request.validate().is_ok());
                 // prost reads the same message from the same bytes.
                 let raw = proto::StepRequest::decode(&*bytes).unwrap().encode_to_vec();
-                prop_assert_eq!(Request::decode(&raw, &limits).unwrap(), request);
+                prop_assert_eq!(Request::decode(&raw).unwrap(), request);
             }
-            if let Ok(reply) = Reply::decode(&bytes, &limits) {
+            if let Ok(reply) = Reply::decode(&bytes) {
                 let raw = proto::StepReply::decode(&*bytes).unwrap().encode_to_vec();
-                prop_assert_eq!(format!("{:?}", Reply::decode(&raw, &limits).unwrap()), format!("{reply:?}"));
+                prop_assert_eq!(format!("{:?}", Reply::decode(&raw).unwrap()), format!("{reply:?}"));
             }
         }
     }

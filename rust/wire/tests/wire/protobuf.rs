@@ -1,9 +1,7 @@
 //! Encodings that protobuf leaves to the writer of a message, and that a reader must therefore accept.
 
 use egp_testing::messages;
-use egp_wire::{
-    Code, Invalid, MessageLimits, Reply, Request, Status, WireError, code_name, proto, status_name,
-};
+use egp_wire::{Code, Invalid, Reply, Request, Status, WireError, code_name, proto, status_name};
 use prost::Message as _;
 use prost::encoding::{WireType, encode_key, encode_varint};
 
@@ -26,7 +24,7 @@ fn varint(tag: u32, value: u64) -> Vec<u8> {
 /// The cold request with another tensor for the field `tag`, given by its bytes.
 fn with_tensor(tag: u32, tensor: &[u8]) -> Result<Request, Invalid> {
     let bytes = [messages::cold_request().encode(), delimited(tag, tensor)].concat();
-    Request::decode(&bytes, &MessageLimits::default())
+    Request::decode(&bytes)
 }
 
 fn data(values: &[f64]) -> Vec<u8> {
@@ -88,14 +86,14 @@ fn the_shape_of_a_tensor_is_exactly_that_of_its_field() {
 fn of_a_number_that_comes_twice_the_last_counts() {
     let once = messages::cold_request();
     let bytes = [once.encode(), varint(3, 99), varint(16, 2)].concat();
-    let request = Request::decode(&bytes, &MessageLimits::default()).unwrap();
+    let request = Request::decode(&bytes).unwrap();
     assert_eq!((request.sequence, request.want_sigma), (99, true));
 }
 
 #[test]
 fn a_number_beyond_32_bits_is_cut_to_them() {
     let bytes = [messages::cold_request().encode(), varint(4, (1 << 32) + 5)].concat();
-    let request = Request::decode(&bytes, &MessageLimits::default()).unwrap();
+    let request = Request::decode(&bytes).unwrap();
     assert_eq!(request.budget_us, 5);
 }
 
@@ -111,7 +109,7 @@ fn fields_of_a_later_version_are_skipped() {
         }));
     }
     let bytes = [bytes, varint(101, 5), delimited(102, b"later")].concat();
-    let request = Request::decode(&bytes, &MessageLimits::default()).unwrap();
+    let request = Request::decode(&bytes).unwrap();
     assert_eq!(request, messages::cold_request());
 }
 
@@ -121,23 +119,22 @@ fn each_field_has_the_type_of_the_proto() {
         messages::cold_request().encode(),
         messages::solved_reply().encode(),
     );
-    let limits = MessageLimits::default();
     let spoil = |bytes: &[u8], field: &[u8]| [bytes, field].concat();
     for tag in [1, 3, 4, 10, 16] {
-        let error = Request::decode(&spoil(&request, &delimited(tag, &[])), &limits);
+        let error = Request::decode(&spoil(&request, &delimited(tag, &[])));
         assert!(matches!(error, Err(Invalid::Field { .. })), "field {tag}");
     }
     for tag in [2, 5, 6, 7, 8, 9, 11, 12, 13, 14, 15] {
-        let error = Request::decode(&spoil(&request, &varint(tag, 0)), &limits);
+        let error = Request::decode(&spoil(&request, &varint(tag, 0)));
         assert!(matches!(error, Err(Invalid::Field { .. })), "field {tag}");
     }
     for tag in [10, 12, 13] {
-        let error = Reply::decode(&spoil(&reply, &varint(tag, 0)), &limits);
+        let error = Reply::decode(&spoil(&reply, &varint(tag, 0)));
         assert!(matches!(error, Err(Invalid::Field { .. })), "field {tag}");
     }
     let not_text = spoil(&reply, &delimited(13, &[0xff]));
     assert!(matches!(
-        Reply::decode(&not_text, &limits),
+        Reply::decode(&not_text),
         Err(Invalid::Field {
             field: "solver",
             ..
