@@ -260,6 +260,19 @@ def test_roads_are_written_in_time_and_a_map_that_cannot_write_says_so(tmp_path:
             server.stop()
 
 
+def test_a_map_that_logs_json_logs_why_it_did_not_start(tmp_path: Path) -> None:
+    config, folder = tmp_path / "map.toml", tmp_path / "roads"
+    config.write_text(f'folder = "{folder}"\nlog_json = true\n', encoding="utf-8")
+    command = [sys.executable, "-m", "egp_service", "map", "--config", str(config)]
+    served = f"""folder = "{folder}"\nlog = "off"
+        zenoh = {{ "listen/endpoints" = '["{free_endpoint()}"]' }}"""
+    with MapServer(served):
+        ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ended.returncode == 1
+    lines = [json.loads(line) for line in ended.stderr.splitlines() if line.startswith("{")]
+    assert [line["message"] for line in lines] == ["not started"], ended.stderr
+
+
 def test_a_signal_that_is_ignored_at_the_start_stays_ignored() -> None:
     bit = 1 << (signal.SIGHUP - 1)
     with map_service(free_endpoint(), before=["nohup"]) as service:

@@ -8,8 +8,9 @@ use egp_driver::Carry;
 use egp_service::{Server, ServiceConfig};
 use egp_testing::libraries;
 use egp_testing::ports::free_endpoint;
-use egp_wire::LibraryId;
+use egp_wire::{LibraryId, keys};
 use serde_json::Value;
+use zenoh::Wait as _;
 
 const LIBRARY: &str = concat!(
     env!("CARGO_MANIFEST_DIR"),
@@ -107,6 +108,33 @@ fn every_due_request_of_each_rate_is_accounted_for() {
         let knee = report["knee_vehicles"].as_u64();
         assert_eq!(knee, (budget == "1").then_some(3), "{text}");
     }
+    server.drain();
+}
+
+#[test]
+fn a_replica_that_says_nothing_gets_no_requests() {
+    let library = Library::from_bytes(&std::fs::read(LIBRARY).unwrap()).unwrap();
+    let requests = requests_file("silent.bin", library.id());
+    let silent = free_endpoint();
+    let mut config = zenoh::Config::default();
+    let listen = format!("[\"{silent}\"]");
+    config.insert_json5("listen/endpoints", &listen).unwrap();
+    let multicast = "scouting/multicast/enabled";
+    config.insert_json5(multicast, "false").unwrap();
+    let session = zenoh::open(config).wait().unwrap();
+    let key = keys::live(&"silent".parse().unwrap());
+    let token = session.liveliness().declare_token(key).wait().unwrap();
+    let (server, endpoint) = serve();
+    // A vehicle tells both sides of each other, so that the silent one is asked alone first.
+    for (endpoint, succeeds) in [(&silent, false), (&endpoint, true)] {
+        let more = ["--connect", &silent, "--seconds", "0.1"];
+        let output = replay(endpoint, &requests, &more);
+        let errors = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.success(), succeeds, "{errors}");
+        assert_eq!(errors.contains("no replica says"), !succeeds, "{errors}");
+        assert!(errors.contains("replica silent does not say"), "{errors}");
+    }
+    token.undeclare().wait().unwrap();
     server.drain();
 }
 
