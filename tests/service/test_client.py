@@ -11,8 +11,7 @@ import threading
 import time
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -375,29 +374,6 @@ def test_a_replica_whose_loss_is_reported_late_is_found_again(service: ServicePr
         network._inbox.put(Announcement(time.monotonic(), "main", appeared=False))  # noqa: SLF001
         vehicle = Standstill(client)
         wait_until(lambda: vehicle.step(deadline=1.0).status == "solved")
-
-
-def test_a_question_about_a_lost_replica_that_has_no_answer_is_asked_again(
-    service: ServiceProcess, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with VehicleClient.connect([service.endpoint], gate=GATE) as client:
-        network, asked = client._network, list[str]()  # noqa: SLF001
-
-        def get(key: str, handler: Any, timeout: float) -> None:  # noqa: ANN401
-            asked.append(key)
-            if len(asked) == 1:
-                handler.callback(SimpleNamespace(ok=None))  # as zenoh does after `timeout` s
-            else:
-                session.liveliness().get(key, handler, timeout=timeout)
-
-        session = network.session
-        stub = SimpleNamespace(liveliness=lambda: SimpleNamespace(get=get), get=session.get)
-        stub.close = session.close
-        monkeypatch.setattr(network, "session", stub)
-        network._inbox.put(Announcement(time.monotonic(), "main", appeared=False))  # noqa: SLF001
-        vehicle = Standstill(client)
-        wait_until(lambda: vehicle.step(deadline=1.0).status == "solved")
-        assert len(asked) == 2
 
 
 def test_connecting_to_nobody_says_what_to_do() -> None:

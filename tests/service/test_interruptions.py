@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import time
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,6 +13,8 @@ import zenoh
 
 from egp_service import Controller, VehicleClient
 from egp_service._core import VehicleParameters, decode_request
+from egp_service._core.testing import live_key
+from egp_service.control.client import Announcement
 from egp_service.control.service_process import ServiceProcess
 from egp_service.shipped import DEMO_LIBRARY
 from frozen import freeze
@@ -157,3 +160,23 @@ def test_closing_a_cut_link_does_not_replace_an_exception(
         interrupt()
     assert finished == ["traces"]
     session.close()  # type: ignore[no-untyped-call]
+
+
+def test_a_question_about_a_lost_replica_that_has_no_answer_is_asked_again(
+    service: ServiceProcess, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with VehicleClient.connect([service.endpoint], gate=GATE) as client:
+        network, asked = client._network, list[str]()  # noqa: SLF001
+
+        def get(key: str, handler: Any, timeout: float) -> None:  # noqa: ANN401, ARG001
+            asked.append(key)
+            if len(asked) == 1:
+                handler.callback(SimpleNamespace(ok=None))  # as zenoh does after `timeout` s
+
+        with monkeypatch.context() as patch:
+            stub = SimpleNamespace(liveliness=lambda: SimpleNamespace(get=get))
+            patch.setattr(network, "session", stub)
+            network._inbox.put(Announcement(0.0, "main", appeared=False))  # noqa: SLF001
+            while (event := network.next(0.0)) is not None:
+                event(client._driver)  # noqa: SLF001
+        assert asked == 2 * [live_key("main")]

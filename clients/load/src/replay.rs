@@ -34,8 +34,8 @@ impl<'a> Replay<'a> {
     /// Connects, and prepares the requests: each gets the budget of the arguments.
     ///
     /// # Errors
-    /// A message if no replica says what it serves, those that do do not fit the recording ([`recording::UnfitRecording`]), or the
-    /// budget is below 1 us.
+    /// A message if no replica says what it serves, the recording does not fit those that do
+    /// ([`recording::UnfitRecording`]), or the budget is below 1 us.
     pub(crate) fn new(arguments: &'a Arguments, recorded: Vec<Request>) -> Result<Self, Failure> {
         let first = session(arguments, 0)?;
         let mut described = Vec::new();

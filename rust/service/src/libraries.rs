@@ -100,8 +100,8 @@ impl Libraries {
         self.table.ids()
     }
 
-    /// Loads and checks the file of public keys and the library file again, and lets `ready` describe its library from now on. The signature beside the
-    /// file takes the place of the one that was offered with this library before. Libraries from before are
+    /// Loads and checks the file of public keys and the library file again, and lets `ready` describe its library from now on.
+    /// The signature beside the file takes the place of the one that was offered with this library before. Libraries from before are
     /// still served to requests that state them; if there are more than the configuration allows, the one that was neither
     /// asked for nor described for the longest time is removed.
     ///

@@ -122,8 +122,8 @@ impl WireError {
         .encode_to_vec()
     }
 
-    /// Reads an `egp.v1.Error`. A code that this version does not have becomes [`Code::Unspecified`], and control characters are
-    /// replaced.
+    /// Reads an `egp.v1.Error`. A code that this version does not have becomes [`Code::Unspecified`], and control characters
+    /// are replaced.
     ///
     /// # Errors
     /// [`Invalid`] if the bytes are not such a message.

@@ -1,4 +1,5 @@
-//! Sizes above which a message is an error before its numbers are read. They fit the largest request that the service is made for.
+//! Sizes above which a message is an error before its numbers are read. They fit the largest request that the service is
+//! made for.
 
 /// Bytes of an encoded message.
 pub const MESSAGE_BYTES: usize = 256 * 1024;

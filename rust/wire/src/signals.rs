@@ -17,8 +17,8 @@ pub fn survive_file_size_limit() -> io::Result<()> {
     flag::register(SIGXFSZ, Arc::default()).map(drop)
 }
 
-/// Those of the signals that this process does not ignore. A program that was started with an ignored signal, as by `nohup` with
-/// SIGHUP, does not catch it.
+/// Those of the signals that this process does not ignore. A program that was started with an ignored signal, as by `nohup`
+/// with SIGHUP, does not catch it.
 pub fn not_ignored(signals: &[c_int]) -> Vec<c_int> {
     let status = fs::read_to_string("/proc/self/status").unwrap_or_default(); // Linux has it
     let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
