@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use egp_driver::Discovery;
 use pyo3::prelude::*;
 
-use crate::driver::driver_config;
+use crate::driver_arguments::driver_config;
 use crate::error::InvalidArgumentError;
 use crate::wire::name;
 

@@ -10,6 +10,7 @@ mod belief;
 mod checks;
 mod discovery;
 mod driver;
+mod driver_arguments;
 mod error;
 mod failure;
 mod gate;

@@ -16,7 +16,8 @@ use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 
 use crate::array::{NewVector, Vector, vector};
-use crate::driver::{Decision, driver_config, measurement, within};
+use crate::driver::Decision;
+use crate::driver_arguments::{driver_config, measurement, within};
 use crate::error::{InvalidArgumentError, RefusedError, raise};
 use crate::parameters::VehicleParameters;
 use crate::text::list;

@@ -4,7 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use egp_parameters::{MOST_WIDTH, REFERENCE_SPEED};
 
-use super::{LARGEST, SettingsError, check, not_negative, positive, positive_if_stated};
+use super::SettingsError;
+use super::range::{LARGEST, check, not_negative, positive, positive_if_stated};
 use crate::NU;
 
 /// Which states the members are linearised about; the inputs are the previous plan's in both.

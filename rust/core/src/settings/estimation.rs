@@ -2,7 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{SettingsError, check, not_negative, periods};
+use super::range::{check, not_negative};
+use super::{SettingsError, periods};
 use crate::NY;
 
 /// How the ensemble's weights follow the last transitions.

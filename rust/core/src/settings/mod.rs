@@ -13,6 +13,7 @@
 
 mod control;
 mod estimation;
+mod range;
 mod residual;
 
 use egp_parameters::VehicleParameters;
@@ -26,6 +27,7 @@ pub use residual::ResidualSettings;
 
 use crate::NY;
 use crate::vehicle::SLIPPERY;
+use range::check;
 
 /// Settings of the control step.
 ///
@@ -214,55 +216,18 @@ impl Settings {
     }
 }
 
-/// Largest value of a setting without a range of its own.
-const LARGEST: f64 = 1e9;
-
 /// Number of periods of `dt` in `time`, both in s: at least one, at most `most`.
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // clamped
 fn periods(time: f64, dt: f64, most: usize) -> usize {
     (time / dt).round().clamp(1.0, most as f64) as usize
 }
 
-/// Errors unless `got` is finite and `accept` is true for it.
-fn check(
-    field: &'static str,
-    got: f64,
-    expected: &'static str,
-    accept: impl Fn(f64) -> bool,
-) -> Result<(), SettingsError> {
-    if got.is_finite() && accept(got) {
-        Ok(())
-    } else {
-        Err(SettingsError::Range {
-            field,
-            expected,
-            got,
-        })
-    }
-}
-
-/// Errors unless `got` is positive. No quantity here has a use beyond these limits, and products of several such numbers
-/// neither overflow nor vanish within them.
-fn positive(field: &'static str, got: f64) -> Result<(), SettingsError> {
-    check(field, got, "positive, from 1e-9 to 1e9", |v| {
-        (1e-9..=LARGEST).contains(&v)
-    })
-}
-
-fn positive_if_stated(field: &'static str, got: Option<f64>) -> Result<(), SettingsError> {
-    got.map_or(Ok(()), |value| positive(field, value))
-}
-
-fn not_negative(field: &'static str, got: f64) -> Result<(), SettingsError> {
-    check(field, got, "not negative, at most 1e9", |v| {
-        (0.0..=LARGEST).contains(&v)
-    })
-}
-
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+
+    const CAR: VehicleParameters = VehicleParameters::FORD_ESCORT;
 
     #[test]
     fn defaults_are_valid_and_survive_toml() {
@@ -284,14 +249,13 @@ mod tests {
             (0.05, 16, 10),
             (2.0, 1, 1),
         ] {
-            let car = VehicleParameters::FORD_ESCORT;
-            let settings = Settings::default().complete(dt, 1.0, &car, None, None);
+            let settings = Settings::default().complete(dt, 1.0, &CAR, None, None);
             assert_eq!(
                 (settings.horizon, settings.weights.window),
                 (Some(horizon), Some(window))
             );
             assert_eq!(
-                settings.clone().complete(0.02, 1.0, &car, None, None),
+                settings.clone().complete(0.02, 1.0, &CAR, None, None),
                 settings
             );
         }
@@ -323,7 +287,7 @@ mod tests {
         assert_eq!(Settings::default().vehicle(&library), library);
         // What is complete no longer depends on the library, but for what no setting can state.
         let complete = settings.complete(0.02, 1.0, &library, None, None);
-        let other = complete.vehicle(&VehicleParameters::FORD_ESCORT);
+        let other = complete.vehicle(&CAR);
         assert_eq!(
             VehicleParameters {
                 yaw_inertia: library.yaw_inertia,
@@ -338,8 +302,7 @@ mod tests {
 
     #[test]
     fn with_the_demo_vehicle_the_defaults_are_those_of_the_published_results() {
-        let settings =
-            Settings::default().complete(0.02, 1.0, &VehicleParameters::FORD_ESCORT, None, None);
+        let settings = Settings::default().complete(0.02, 1.0, &CAR, None, None);
         let InputBounds {
             a_min,
             a_max,

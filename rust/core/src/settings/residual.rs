@@ -2,7 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{SettingsError, WeightSettings, check};
+use super::range::check;
+use super::{SettingsError, WeightSettings};
 use crate::NY;
 
 /// What the control step adds to the members' prediction, from the errors of the last transitions.

@@ -211,7 +211,7 @@ fn a_reset_leaves_what_is_known_of_replicas() {
     let probe = probed(&mut driver);
     assert!(driver.next_action().is_none());
     driver.replied(ms(22), probe.id, &served().encode(), b"");
-    appear(&mut driver, ms(23), &name("c"));
+    appear(&mut driver, &name("c"));
     assert_eq!(all_asked(&mut driver, ms(40)), ["a", "b", "c"]);
     assert!(["a", "b", "c"].contains(&answered_period(&mut driver, ms(60)).as_str()));
 }

@@ -114,7 +114,7 @@ fn a_period_reports_the_replica_that_failed_last() {
     assert_eq!(step.outcome, Outcome::Unreachable);
     assert_eq!(step.replica, Some(last.replica.clone()));
 
-    appear(&mut driver, ms(70), &last.replica);
+    appear(&mut driver, &last.replica);
     tick(&mut driver, ms(80));
     let silent = asked(&mut driver);
     driver.wake(ms(88));

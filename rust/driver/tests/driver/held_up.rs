@@ -188,7 +188,7 @@ fn by_default_the_tail_lasts_half_a_second_at_any_period() {
             ..crate::world::served()
         };
         let mut driver = Driver::new(crate::world::config(), served).unwrap();
-        crate::world::appear(&mut driver, Duration::ZERO, &crate::world::name("a"));
+        crate::world::appear(&mut driver, &crate::world::name("a"));
         let period = Duration::from_secs_f64(dt);
         let mut held_up = |now: Duration| {
             let measurement = Measurement {

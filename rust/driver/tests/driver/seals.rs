@@ -23,7 +23,7 @@ fn driver(replicas: &[&str]) -> Driver {
     let config = DriverConfig { key, ..config() };
     let mut driver = Driver::new(config, served()).unwrap();
     for replica in replicas {
-        appear(&mut driver, ms(0), &name(replica));
+        appear(&mut driver, &name(replica));
     }
     driver
 }

@@ -60,13 +60,13 @@ pub(crate) fn without_hedge(replicas: &[&str]) -> Driver {
 pub(crate) fn configured(replicas: &[&str], config: DriverConfig) -> Driver {
     let mut driver = Driver::new(config, served()).unwrap();
     for replica in replicas {
-        appear(&mut driver, Duration::ZERO, &name(replica));
+        appear(&mut driver, &name(replica));
     }
     driver
 }
 
 /// A replica announces itself that is known to fit the vehicle.
-pub(crate) fn appear(driver: &mut Driver, now: Duration, replica: &Name) {
+pub(crate) fn appear(driver: &mut Driver, replica: &Name) {
     driver.replica_appeared(replica.clone());
     driver.replica_fits(replica);
 }

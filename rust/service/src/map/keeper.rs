@@ -7,7 +7,8 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use egp_map::Tile;
 use egp_wire::{Code, TileEvidence, WireError, encode_tiles_changed, road_keys};
 
-use super::file::{self, Clocks};
+use super::encoding::encode;
+use super::file::Clocks;
 use super::intake::{Intake, Job, QueryKind};
 use super::store::{Road, Store};
 use super::turns::Next;
@@ -153,7 +154,7 @@ impl<Q: Query> Keeper<Q> {
         if let Some(writer) = &mut self.writer {
             self.store.unsaved.remove(&road);
             let (tiles, clocks) = (self.store.road(&road), clocks(self.started));
-            let content = tiles.map(|tiles| file::encode(&road, tiles, clocks));
+            let content = tiles.map(|tiles| encode(&road, tiles, clocks));
             writer.begin(road, content);
         }
     }

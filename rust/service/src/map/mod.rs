@@ -8,6 +8,7 @@
 //! ```
 
 mod config;
+mod encoding;
 mod file;
 mod file_error;
 mod folder_lock;

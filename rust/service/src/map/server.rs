@@ -15,7 +15,8 @@ use signal_hook::iterator::Signals;
 use thiserror::Error;
 
 use super::config::MapConfig;
-use super::file::{load, with_checksum};
+use super::encoding::with_checksum;
+use super::file::load;
 use super::file_error::RoadFileError;
 use super::folder_lock::lock;
 use super::intake::Intake;
