@@ -108,8 +108,9 @@ def serve(
       egp serve l.safetensors --fetch 6f1c... --connect tcp/10.0.0.5:7447
     """
     if not check:
-        # The service has a handler of its own for SIGHUP; Python's would end the command.
-        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+        # The service has a handler of its own for SIGHUP; until then the signal has no effect. It
+        # is not ignored, because programs that this process starts would inherit that.
+        signal.signal(signal.SIGHUP, lambda *_: None)
     from egp_service._core import EgpError, check_service
     from egp_service._core import serve as serve_until_signal
     from egp_service.cli.settings_file import naming, read_service, read_settings
