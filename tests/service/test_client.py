@@ -28,6 +28,7 @@ from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.scenario import gate_settings, library_path, load_scenario, told_zones
 from frozen import freeze
 from patience import ATTEMPTS, PATIENCE, wait_until
+from standstill import Standstill
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -88,22 +89,6 @@ def unreachable(endpoint: str, gate: dict[str, float], reason: str) -> ServiceUn
         if re.search(reason, str(caught.value)):
             return caught.value
     raise AssertionError(str(caught.value))
-
-
-class Standstill:
-    """Steps of a vehicle that always measures the same state on a straight road."""
-
-    def __init__(self, controller: StepController) -> None:
-        """Use this controller."""
-        self.controller = controller
-        s = 15.0 * controller.dt * np.arange(controller.horizon + 1)
-        zero = np.zeros_like(s)
-        self.reference = np.column_stack([s, zero, zero + 15.0, zero])
-
-    def step(self, deadline: float | None = None) -> Step:
-        """Take the next step."""
-        x = np.array([0.0, 0.3, 15.0, 0.0, 0.0, 0.0, 0.0])
-        return self.controller.step(x, self.reference, deadline=deadline)
 
 
 def run_with(controller: StepController, count: int) -> list[Step]:

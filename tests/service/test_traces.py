@@ -9,12 +9,11 @@ import subprocess
 import sys
 import time
 from collections import defaultdict
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -26,11 +25,11 @@ from egp_service.control.service_process import ServiceProcess
 from egp_service.simulation.scenario import gate_settings, library_path, load_scenario
 from frozen import freeze
 from patience import PATIENCE, wait_for_replicas, wait_until
+from standstill import Standstill
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from egp_service.control.step import Step
 
 SCENARIO = load_scenario("rounded-rectangle")
 LIBRARY = library_path(SCENARIO)
@@ -165,21 +164,6 @@ def serving(*arguments: str) -> Iterator[subprocess.Popen[bytes]]:
         assert process.wait(PATIENCE) == 0
 
 
-class Standstill:
-    """Steps of a vehicle that always measures the same state on a straight road."""
-
-    def __init__(self, client: VehicleClient) -> None:
-        """Use this client."""
-        self.client = client
-        s = 15.0 * client.dt * np.arange(client.horizon + 1)
-        self.reference = np.column_stack([s, 0 * s, 0 * s + 15.0, 0 * s])
-
-    def step(self, deadline: float = 5.0) -> Step:
-        """Take the next step."""
-        x = np.array([0.0, 0.3, 15.0, 0.0, 0.0, 0.0, 0.0])
-        return self.client.step(x, self.reference, deadline=deadline)
-
-
 def test_vehicle_and_service_write_one_trace_for_each_step(tmp_path: Path) -> None:
     endpoint, ours, theirs = free_endpoint(), tmp_path / "car.jsonl", tmp_path / "server.jsonl"
     with (
@@ -188,7 +172,7 @@ def test_vehicle_and_service_write_one_trace_for_each_step(tmp_path: Path) -> No
             endpoint, fleet="depot", vehicle="car-7", gate=GATE, timeout=30.0, traces=ours
         ) as client,
     ):
-        vehicle = Standstill(client)
+        vehicle = Standstill(client, 5.0)
         steps = [vehicle.step() for _ in range(20)]
     assert all(step.status == "solved" for step in steps)
     assert {span.instance for span in read(ours)} == {"depot/car-7"}
@@ -236,7 +220,7 @@ def test_both_sides_choose_the_same_share(tmp_path: Path) -> None:
             endpoint, gate=GATE, timeout=30.0, traces=ours, traces_share=0.3
         ) as client,
     ):
-        vehicle = Standstill(client)
+        vehicle = Standstill(client, 5.0)
         for _ in range(60):
             assert vehicle.step().status == "solved"
     chosen = traces_of(read(ours)).keys()
@@ -279,22 +263,24 @@ def test_a_request_to_two_replicas_is_one_trace(tmp_path: Path) -> None:
         with VehicleClient.connect(
             connect, gate=GATE, timeout=30.0, hedge=hedge, traces=ours
         ) as client:
-            vehicle = Standstill(client)
+            vehicle = Standstill(client, 5.0)
             wait_until(lambda: all(why_unreachable(each) is None for each in connect))
             wait_for_replicas(client, 2)
-            # A link drops a question for which it has no room: it may take several times until the
-            # stopped replica has one, which it then answers.
-            for _ in range(10):
-                first = asked_alone(vehicle, hedge, deadline)
-                before = requests_in(files[first])
+            first, waited = asked_alone(vehicle, hedge, deadline), False
+            while not waited:
+                answered = requests_in(files[first])
                 freeze(processes[first])
+                begun = time.monotonic()
                 step = vehicle.step(deadline)
-                assert (step.status, step.replica) == ("solved", {"a": "b", "b": "a"}[first])
+                waited = time.monotonic() - begun >= hedge * deadline
                 processes[first].send_signal(signal.SIGCONT)
-                with suppress(AssertionError):
-                    wait_until(lambda: requests_in(files[first]) > before, 2.0)  # noqa: B023
-                    break
-            assert requests_in(files[first]) > before
+                other = {"a": "b", "b": "a"}[first]
+                assert (step.status, step.replica) == ("solved", other)
+                # A vehicle that only now has learned of the other replica may prefer it, and ask
+                # it at once.
+                first = first if waited else other
+            # The replica answers the question that it had when it was stopped.
+            wait_until(lambda: requests_in(files[first]) > answered)
     *_, newest = (span for span in read(ours) if span.name == "egp.step")
     (spans,) = [
         spans
@@ -317,7 +303,7 @@ def test_a_step_without_a_service_says_why_it_has_no_plan(tmp_path: Path) -> Non
         ServiceProcess(LIBRARY, {}) as service,
         VehicleClient.connect(service.endpoint, gate=GATE, traces=ours) as client,
     ):
-        vehicle, end = Standstill(client), time.monotonic() + PATIENCE
+        vehicle, end = Standstill(client, 5.0), time.monotonic() + PATIENCE
         assert vehicle.step().status == "solved"
         service.kill()
         while vehicle.step(deadline=0.5).status != "unreachable":
@@ -340,7 +326,7 @@ def test_a_stranger_takes_no_space_on_the_disk_of_a_service_with_keys(tmp_path: 
         serving("--config", str(config), "--listen", endpoint),
         VehicleClient.connect(endpoint, gate=GATE, timeout=30.0, traces=ours) as client,
     ):
-        assert Standstill(client).step().status == "refused"
+        assert Standstill(client, 5.0).step().status == "refused"
     assert not (tmp_path / "server.jsonl").read_text(encoding="utf-8")
     ask, root = read(ours)
     assert ask.attributes["egp.answer"] == root.attributes["egp.outcome"] == "refused"
@@ -394,7 +380,7 @@ def test_a_full_disk_does_not_stop_control() -> None:
     full, endpoint = Path("/dev/full"), free_endpoint()
     with serving(str(LIBRARY), "--listen", endpoint, "--traces", str(full)):
         client = VehicleClient.connect(endpoint, gate=GATE, timeout=30.0, traces=full)
-        vehicle, end = Standstill(client), time.monotonic() + 1.0
+        vehicle, end = Standstill(client, 5.0), time.monotonic() + 1.0
         while time.monotonic() < end:
             assert vehicle.step().status == "solved"
         with pytest.warns(UserWarning, match=rf"^{full}: .* could not .* \(No space left"):
