@@ -25,6 +25,9 @@ pub struct Linearisation {
     pub x: Vec<State>,
     /// Dynamics, stages `0..T`.
     pub stages: Vec<AffineDynamics>,
+    /// Largest difference of lateral speed (m/s) or yaw rate (rad/s) between the state of a stage and its prediction from the
+    /// stage before. Stage 1 does not count, because the measured state before it has noise.
+    pub defect: f64,
 }
 
 /// Share of the largest operating `|v_y|` and `|omega|` by which a shifted state may differ from the ensemble's prediction.
@@ -84,6 +87,7 @@ impl Linearisation {
         Self {
             x: vec![State::zeros(); horizon + 1],
             stages: vec![neutral; horizon],
+            defect: 0.0,
         }
     }
 
@@ -131,12 +135,17 @@ impl Linearisation {
         u: &[Input],
         domain: &Domain,
     ) -> bool {
+        self.defect = 0.0;
         for (t, (stage, u)) in self.stages.iter_mut().zip(u).enumerate() {
             let (dynamics, next) = tangent(&models(t), step, (&self.x[t], u));
             *stage = dynamics;
             let shifted = planned.get(t + 1);
             if shifted.is_some_and(|shifted| !domain.is_near(shifted, &next)) {
                 return false;
+            }
+            if let (Some(shifted), 1..) = (shifted, t) {
+                let difference = |i: usize| (shifted[i] - next[i]).abs();
+                self.defect = self.defect.max(difference(V_Y)).max(difference(OMEGA));
             }
             self.x[t + 1] = domain.clamp(*shifted.unwrap_or(&next));
         }

@@ -55,6 +55,15 @@ impl Guess {
             );
         }
     }
+
+    /// Takes a plan for the present time, with states in the vehicle's frame and inputs in N and rad/s.
+    pub fn take(&mut self, x: &[State], u: impl Iterator<Item = Input>) {
+        self.x.clear();
+        self.x.extend_from_slice(x);
+        for (guessed, planned) in self.u.iter_mut().zip(u) {
+            *guessed = planned;
+        }
+    }
 }
 
 #[cfg(test)]

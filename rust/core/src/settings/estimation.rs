@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::range::{check, not_negative};
 use super::{SettingsError, periods};
 use crate::NY;
+use crate::vehicle::SLIPPERY;
 
 /// How the ensemble's weights follow the last transitions.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -25,6 +26,11 @@ pub struct WeightSettings {
     pub measurement: Option<[f64; NY]>,
     /// Prior on the change of the weights. Default quadratic with lambda 100.
     pub prior: Prior,
+    /// What each member with a positive weight costs, in nats of the window's log-likelihood: blends of one or two members
+    /// that explain the window nearly as well as the weights of eq. (6) replace them
+    /// ([`WeightEstimator::select`](crate::weights::WeightEstimator::select)). Positive values need `whiten` and the
+    /// quadratic prior. Default: 0.25 with these two if a member has a friction below 0.5, otherwise 0, which is eq. (6).
+    pub member_penalty: Option<f64>,
     /// Members with at most this weight are not evaluated in the control model. The other weights are scaled to sum to 1,
     /// and the weight that was left out is in the reply. Weights of exactly zero are those at the border of the simplex.
     /// Default 1e-3.
@@ -55,6 +61,8 @@ pub enum Prior {
     },
 }
 
+/// The default penalty of a member in nats, if a member is slippery.
+const MEMBER_PENALTY: f64 = 0.25;
 /// The default window, in s, and in transitions at most.
 const WINDOW: f64 = 0.5;
 const LONGEST_DEFAULT_WINDOW: usize = 64;
@@ -76,6 +84,7 @@ impl Default for WeightSettings {
             prior: Prior::Quadratic {
                 lambda: default_lambda(),
             },
+            member_penalty: None,
             threshold: 1e-3,
             max_active: 8,
         }
@@ -90,6 +99,22 @@ impl WeightSettings {
     pub fn window(&self, dt: f64) -> usize {
         self.window
             .unwrap_or_else(|| periods(WINDOW, dt, LONGEST_DEFAULT_WINDOW))
+    }
+
+    /// What a member with a positive weight costs, in nats, if the most slippery member has the coefficient `friction`.
+    pub fn member_penalty(&self, friction: f64) -> f64 {
+        self.member_penalty.unwrap_or({
+            if friction < SLIPPERY && self.has_likelihood() {
+                MEMBER_PENALTY
+            } else {
+                0.0
+            }
+        })
+    }
+
+    /// Whether weights minimise a misfit of whitened errors with a quadratic prior, so that log-likelihoods can be compared.
+    fn has_likelihood(&self) -> bool {
+        self.whiten && matches!(self.prior, Prior::Quadratic { .. })
     }
 
     /// Standard deviations of the noise of the measured states: these settings', otherwise those that the library
@@ -116,6 +141,15 @@ impl WeightSettings {
             Prior::Quadratic { lambda } => not_negative("weights.prior.lambda", lambda)?,
             Prior::L1 { alpha } => not_negative("weights.prior.alpha", alpha)?,
         }
+        if let Some(penalty) = self.member_penalty {
+            not_negative("weights.member_penalty", penalty)?;
+            check(
+                "weights.member_penalty",
+                penalty,
+                "0 with `weights.whiten = false` and with the L1 prior",
+                |penalty| penalty == 0.0 || self.has_likelihood(),
+            )?;
+        }
         check("weights.threshold", self.threshold, "in [0, 0.1]", |v| {
             (0.0..=0.1).contains(&v)
         })?;
@@ -125,5 +159,30 @@ impl WeightSettings {
             "at least 1",
             |v| v >= 1.0,
         )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn members_have_a_penalty_if_one_is_slippery_and_weights_have_a_likelihood() {
+        let penalty = |text: &str, friction| {
+            let weights: WeightSettings = toml::from_str(text).unwrap();
+            weights.member_penalty(friction)
+        };
+        assert_eq!(
+            [0.5, 0.49].map(|friction| penalty("", friction)),
+            [0.0, 0.25]
+        );
+        for (text, expected) in [
+            ("whiten = false", 0.0),
+            ("prior = { kind = \"l1\", alpha = 1e-5 }", 0.0),
+            ("member_penalty = 2", 2.0),
+        ] {
+            assert_eq!(penalty(text, 0.1), expected, "{text}");
+        }
     }
 }

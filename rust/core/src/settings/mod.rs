@@ -153,6 +153,7 @@ impl Settings {
         let vehicle = self.vehicle(library);
         self.horizon = Some(self.horizon(dt, friction));
         self.weights.window = Some(self.weights.window(dt));
+        self.weights.member_penalty = Some(self.weights.member_penalty(friction));
         self.weights.measurement = Some(self.weights.measurement(measurement_noise));
         self.measurement_delay = Some(self.measurement_delay(measurement_delay));
         self.mass = Some(vehicle.mass);
@@ -359,6 +360,16 @@ mod tests {
             ("[operating]\nyaw_at = nan", "operating.yaw_at"),
             ("[cost]\ninput = [0.0, 1.0]", "cost.input"),
             ("[weights]\nthreshold = 1.5", "weights.threshold"),
+            ("weights.member_penalty = -1", "weights.member_penalty"),
+            ("weights.member_penalty = nan", "weights.member_penalty"),
+            (
+                "[weights]\nmember_penalty = 1\nwhiten = false",
+                "weights.member_penalty",
+            ),
+            (
+                "[weights]\nmember_penalty = 1\nprior = { kind = \"l1\", alpha = 0 }",
+                "weights.member_penalty",
+            ),
             ("[residual]\nstd = [0.0, -1.0, 0.0]", "residual.std"),
             (
                 "[residual]\nmeasurement = [0.0, 0.0, 1e3]",

@@ -78,6 +78,8 @@ pub struct Workspace {
     pub(super) aligned: Vec<[f64; NZ]>,
     pub(super) noise: WindowNoise,
     pub(super) estimator: WeightEstimator,
+    /// What a member with a positive weight costs, nats.
+    pub(super) member_penalty: f64,
     pub(super) friction: FrictionEstimator,
     /// The filter of the residual, if the settings ask for one.
     pub(super) residual: Option<ResidualFilter>,
@@ -137,6 +139,7 @@ impl Workspace {
             aligned: Vec::with_capacity(settings.weights.window(dt)),
             noise: WindowNoise::of(library, &settings.weights),
             estimator: WeightEstimator::new(n, settings.weights.window(dt)),
+            member_penalty: settings.weights.member_penalty(library.least_friction()),
             friction: FrictionEstimator::new(library, &settings.weights),
             residual: ResidualFilter::new(&settings.residual, dt, settings.weights.window(dt)),
             offsets: vec![GpOutput::zeros(); horizon],

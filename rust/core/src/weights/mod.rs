@@ -9,6 +9,7 @@
 //! accounts for the noise of the measured states, which enters consecutive changes with opposite signs.
 
 mod active_set;
+mod best_subset;
 mod gram;
 mod noise;
 
@@ -16,6 +17,7 @@ pub use noise::WindowNoise;
 pub(crate) use noise::{blend_error, model_std, state_std};
 
 use active_set::{SimplexQp, SimplexSolver};
+use best_subset::best_subset;
 use gram::Gram;
 use noise::Row;
 
@@ -116,23 +118,55 @@ impl WeightEstimator {
         self.solver.solve(&qp, w)
     }
 
+    /// Replaces the weights `w` of the last [`Self::estimate`] by those of one or two members if these explain the window
+    /// nearly as well: it minimises the cost of eq. (6) plus a constant for each member with a positive weight, over `w`, all
+    /// single members and all blends of two. The constant is `penalty` nats of the log-likelihood that [`Self::informed`]
+    /// uses. A penalty above 0 needs whitened errors and the quadratic prior; 0 changes nothing.
+    ///
+    /// With members of very different surfaces several blends predict nearly the same changes in a window, one of them with
+    /// the true member alone, and they differ in what they predict for other slips. The weights of eq. (6) then follow the
+    /// noise, and on ice a seventh of snow is a third more friction. The choice of few terms by a penalised misfit is best
+    /// subset selection (Hastie, Tibshirani and Friedman, *The Elements of Statistical Learning*, 2nd edition, section 3.3).
+    pub fn select(&self, penalty: f64, w: &mut [f64]) {
+        if penalty > 0.0 {
+            let scale = 2.0 * TEMPERATURE * self.misfit(self.of_weights(w));
+            best_subset(&self.hessian, &self.linear, penalty * scale, w);
+        }
+    }
+
     /// Whether the last window distinguishes the members: the log-likelihood of the worst member is at least `INFORMED` nats
     /// below that of the weights `w`. Likelihoods have the exponent `1 / (TEMPERATURE max(1, J / n))`, where `J` is the sum
     /// of the `n` squared whitened errors under `w` (`docs/problem.md`, section 4). The last call of [`Self::estimate`] must
     /// have used whitened errors, because log-likelihoods are compared.
     pub fn informed(&self, w: &[f64]) -> bool {
+        let of_member = |i: usize| {
+            let products = self.whitened.products(i);
+            products[i] - 2.0 * products[w.len()]
+        };
+        let worst = (0..w.len())
+            .map(of_member)
+            .fold(f64::NEG_INFINITY, f64::max);
+        let of_weights = self.of_weights(w);
+        worst - of_weights >= 2.0 * INFORMED * TEMPERATURE * self.misfit(of_weights)
+    }
+
+    /// The sum of the squared whitened errors of the last window under the weights `w`, less that of the measurements.
+    fn of_weights(&self, w: &[f64]) -> f64 {
         let n = w.len();
-        let product = |i: usize, j: usize| self.whitened.products(i)[j];
-        let of_member = |i: usize| product(i, i) - 2.0 * product(i, n);
-        let of_weights: f64 = (0..n)
+        (0..n)
             .map(|i| {
-                let row: f64 = w.iter().enumerate().map(|(j, w)| w * product(i, j)).sum();
-                w[i] * (row - 2.0 * product(i, n))
+                let products = self.whitened.products(i);
+                let row: f64 = w.iter().zip(products).map(|(w, product)| w * product).sum();
+                w[i] * (row - 2.0 * products[n])
             })
-            .sum();
-        let worst = (0..n).map(of_member).fold(f64::NEG_INFINITY, f64::max);
-        let misfit = (product(n, n) + of_weights) / self.whitened.row_count().max(1) as f64;
-        worst - of_weights >= 2.0 * INFORMED * TEMPERATURE * misfit.max(1.0)
+            .sum()
+    }
+
+    /// `max(1, J / n)` of the last window, from the result of [`Self::of_weights`].
+    fn misfit(&self, of_weights: f64) -> f64 {
+        let n = self.linear.len();
+        let squares = self.whitened.products(n)[n] + of_weights;
+        (squares / self.whitened.row_count().max(1) as f64).max(1.0)
     }
 
     /// Adds the rows of a transition to `S [F Y]`.

@@ -209,6 +209,21 @@ fn weights_identify_the_surface_and_stay_constant_without_history() {
 }
 
 #[test]
+fn a_penalty_leaves_one_member_where_others_explain_little() {
+    let mut request = cornering_on(&library().members()[0]);
+    request.weights = vec![0.9, 0.1];
+    let weights = |penalty| {
+        let mut settings = settings();
+        settings.weights.member_penalty = penalty;
+        solve(&request, &settings).weights
+    };
+    let blend = weights(None);
+    assert!(blend[1] > 0.0, "{blend:?}");
+    assert_eq!(weights(Some(0.0)), blend);
+    assert_eq!(weights(Some(100.0)), [1.0, 0.0]);
+}
+
+#[test]
 fn any_measured_state_gets_a_plan() {
     let settings = settings();
     let base = Request::circle();
