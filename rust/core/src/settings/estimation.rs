@@ -29,7 +29,7 @@ pub struct WeightSettings {
     /// What each member with a positive weight costs, in nats of the window's log-likelihood: blends of one or two members
     /// that explain the window nearly as well as the weights of eq. (6) replace them
     /// ([`WeightEstimator::select`](crate::weights::WeightEstimator::select)). Positive values need `whiten` and the
-    /// quadratic prior. Default: 0.25 with these two if a member has a friction below 0.5, otherwise 0, which is eq. (6).
+    /// quadratic prior. Default: 0.5 with these two if a member has a friction below 0.5, otherwise 0, which is eq. (6).
     pub member_penalty: Option<f64>,
     /// Members with at most this weight are not evaluated in the control model. The other weights are scaled to sum to 1,
     /// and the weight that was left out is in the reply. Weights of exactly zero are those at the border of the simplex.
@@ -62,7 +62,7 @@ pub enum Prior {
 }
 
 /// The default penalty of a member in nats, if a member is slippery.
-const MEMBER_PENALTY: f64 = 0.25;
+const MEMBER_PENALTY: f64 = 0.5;
 /// The default window, in s, and in transitions at most.
 const WINDOW: f64 = 0.5;
 const LONGEST_DEFAULT_WINDOW: usize = 64;
@@ -175,7 +175,7 @@ mod tests {
         };
         assert_eq!(
             [0.5, 0.49].map(|friction| penalty("", friction)),
-            [0.0, 0.25]
+            [0.0, 0.5]
         );
         for (text, expected) in [
             ("whiten = false", 0.0),

@@ -125,8 +125,9 @@ impl WeightEstimator {
     ///
     /// With members of very different surfaces several blends predict nearly the same changes in a window, one of them with
     /// the true member alone, and they differ in what they predict for other slips. The weights of eq. (6) then follow the
-    /// noise, and on ice a seventh of snow is a third more friction. The choice of few terms by a penalised misfit is best
-    /// subset selection (Hastie, Tibshirani and Friedman, *The Elements of Statistical Learning*, 2nd edition, section 3.3).
+    /// noise, and a seventh of snow in a blend with ice raises the friction by 29 %. The choice of few terms by a penalised
+    /// misfit is best subset selection (Hastie, Tibshirani and Friedman, *The Elements of Statistical Learning*, 2nd edition,
+    /// section 3.3).
     pub fn select(&self, penalty: f64, w: &mut [f64]) {
         if penalty > 0.0 {
             let scale = 2.0 * TEMPERATURE * self.misfit(self.of_weights(w));
