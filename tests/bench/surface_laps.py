@@ -111,7 +111,7 @@ def main(library: str, seeds: int = 20) -> None:
             completed, rms, largest = np.transpose([result for _, result in runs])
             finished = f"{completed.sum():.0f}/{seeds}"
             print(
-                f"{row}  {finished:9}  {np.median(rms):.3f}, {np.median(largest):.2f}", flush=True
+                f"{row}  {finished:9}  {np.median(rms):.4f}, {np.median(largest):.2f}", flush=True
             )
 
 

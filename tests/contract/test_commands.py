@@ -283,7 +283,9 @@ def test_files_of_another_kind_are_named(tmp_path: Path) -> None:
         Library.load(parquet)
     assert f"{log}: this is not a library file" in failure("inspect", str(log))
     log.write_bytes("x_m,y_m,größe\n".encode("latin-1"))
-    with pytest.raises(EgpError, match=r"log.csv: this is no text in UTF-8; save .* as UTF-8"):
+    with pytest.raises(
+        EgpError, match=r"log.csv: expected a text in UTF-8, got .*; save the table in this"
+    ):
         Road.from_csv(log)
 
 

@@ -126,6 +126,29 @@ def test_a_program_that_is_held_up_after_an_answer_has_come_does_not_drive_its_p
     assert late.held_up > 25
 
 
+def test_an_answer_that_came_in_time_counts_although_another_event_waits_before_it(
+    client: VehicleClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert step(client).mode == "normal"
+    time.sleep(0.5)  # the end of the first question comes, which the next step sees before its own
+    network = client._network  # noqa: SLF001
+    come = network.next
+    slept: list[float] = []
+
+    def held_up(patience: float) -> Callable[[Driver], None] | None:
+        """Be held up until the deadline has passed, and find another event before the answer."""
+        if patience > 0.0 and not slept:
+            slept.append(0.5)
+            time.sleep(0.5)
+            return lambda _: None
+        return come(patience)
+
+    monkeypatch.setattr(network, "next", held_up)
+    late = step(client, deadline=0.3)
+    assert slept
+    assert late.status == "solved"
+
+
 class CutSession:
     """A session whose link was cut: zenoh cannot close it in time."""
 

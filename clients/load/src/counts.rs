@@ -62,7 +62,7 @@ impl Sent {
                 let _ = self.copied.set(latency); // the first one stays
             }
             Ok(code) => self.count(refused(code), Some(latency), None),
-            Err(_) => self.count("timeout".to_owned(), Some(latency), None),
+            Err(_) => self.count("timeout".to_owned(), None, None),
         }
     }
 

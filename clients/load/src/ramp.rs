@@ -64,10 +64,11 @@ impl Rate {
 pub(crate) struct Ramp {
     period_s: f64,
     seconds: f64,
-    /// The fraction in the deadline down to which a rate holds; without one, a single rate was measured.
+    /// Least fraction of requests answered by their deadline at which a rate counts as held; without it a single rate was
+    /// measured.
     hold: Option<f64>,
-    /// Vehicles of the fastest rate that held; absent if none did, or none was asked for. If it is the last rate, the knee
-    /// is beyond it.
+    /// Largest number of vehicles at which this fraction was reached; absent if it was never reached or not stated. If this
+    /// is the last rate, the knee is at a higher rate.
     knee_vehicles: Option<usize>,
     /// Whether Ctrl-C ended the measurement. The last rate is then incomplete if it was interrupted after its warm-up.
     pub(crate) interrupted: bool,

@@ -18,6 +18,8 @@ use crate::{Arguments, Failure, recording};
 
 /// How long a late answer is waited for.
 const PATIENCE: Duration = Duration::from_secs(1);
+/// Time for which the same replicas have to announce themselves.
+const SAME: Duration = Duration::from_secs(1);
 
 /// The vehicles that replay one recording.
 pub(crate) struct Replay<'a> {
@@ -168,9 +170,11 @@ fn session(arguments: &Arguments, index: usize) -> Result<Session, Failure> {
     Ok(open_session(&config)?)
 }
 
-/// The replicas that announce themselves within ten seconds of the first look.
+/// The replicas that announce themselves within ten seconds, and the same ones in all looks of a second: links to further
+/// ones may take longer.
 fn live(session: &Session) -> Result<Vec<Name>, Failure> {
     let end = Instant::now() + Duration::from_secs(10);
+    let (mut last, mut since) = (Vec::new(), Instant::now());
     while Instant::now() < end {
         let tokens = session.liveliness().get(keys::ALL_LIVE).wait()?;
         let mut found: Vec<Name> = std::iter::from_fn(|| tokens.recv().ok())
@@ -179,10 +183,15 @@ fn live(session: &Session) -> Result<Vec<Name>, Failure> {
             .collect();
         found.sort();
         found.dedup();
-        if !found.is_empty() {
-            return Ok(found);
+        if found != last {
+            (last, since) = (found, Instant::now());
+        } else if !last.is_empty() && since.elapsed() >= SAME {
+            return Ok(last);
         }
         thread::sleep(Duration::from_millis(50));
+    }
+    if !last.is_empty() {
+        return Ok(last);
     }
     Err("no replica of the service announces itself; start one, or check --connect".into())
 }

@@ -49,7 +49,8 @@ pub(crate) struct Tally {
     pub(crate) outcomes: BTreeMap<String, u64>,
     /// Number of commands by their mode: normal, tail, stop, waiting.
     pub(crate) modes: [u64; 4],
-    /// Time from when a request was due to its answer, late answers included; requests without an answer have none.
+    /// Time from when a request was due to its answer, for late answers from when it was sent; requests without an answer
+    /// have none.
     pub(crate) latency: Micros,
     /// Time in the service's queue.
     pub(crate) queue: Micros,
@@ -75,12 +76,9 @@ impl Tally {
             Mode::Waiting => 3,
         }] += 1;
         self.lag.record(lag);
-        for latency in step
-            .late
-            .iter()
-            .map(|late| late.latency)
-            .chain(step.latency)
-        {
+        let in_time = step.latency.map(|latency| lag + latency);
+        let late = step.late.iter().map(|late| late.latency);
+        for latency in late.chain(in_time) {
             self.latency.record(latency);
         }
         if let Some(timing) = &step.timing {

@@ -241,10 +241,11 @@ impl VehicleClient {
             if let Some(event) = self.network.next(left) {
                 self.tell(event);
             }
-            // The deadline ends the period although events keep coming.
-            let now = self.time(Instant::now());
-            if now >= wake {
-                self.driver.wake(now);
+            // The deadline ends the period although events keep coming. After a delay of this program, an answer that came
+            // in time may still wait behind others.
+            if self.time(Instant::now()) >= wake {
+                self.tell_what_came(Instant::now());
+                self.driver.wake(self.time(Instant::now()));
             }
         }
     }

@@ -10,11 +10,16 @@ from egp_service._core.path import Path, SpeedProfile
 from egp_service._core.vehicle import VehicleParameters
 
 FRICTION_HYPOTHESES: tuple[float, ...]
-"""Friction coefficients to which the elements of a `log_likelihood` belong, increasing."""
+"""The 17 friction coefficients from 0.1 to 1.3 to which the elements of a `log_likelihood` belong.
+
+They increase.
+"""
 
 @final
 class RoadBelief:
-    """Belief about the friction along a path, from what control steps found in cells of 2 m.
+    """Belief about the friction along a path, from what control steps found by place.
+
+    The path is divided into cells of equal length, at most 2 m.
 
     From cell to cell the friction stays or, on average every 200 m, is drawn anew from a uniform
     distribution over 0.1 to 1.3. The vehicle cannot react to what lies less than 45 m ahead: with
@@ -61,7 +66,7 @@ class RoadBelief:
 
         """
     def update(self, s: float, log_likelihood: ArrayLike | None = None) -> None:
-        """Open a control period at arc length `s` with what the last step found.
+        """Open a control period at arc length `s`, m, with what the last step found.
 
         `log_likelihood` (17,) is that of its `Friction`, the logarithms of the likelihoods of the
         coefficients `egp_service._core.FRICTION_HYPOTHESES`; without it nothing is added. Only
@@ -85,7 +90,7 @@ class RoadBelief:
 
         """
     def preview(self, places: ArrayLike) -> NDArray[np.float64]:
-        """Return the `road_friction` (n + 1, 2) of a control step with its stages at `places` (n,).
+        """Return the `road_friction` (n + 1, 2) of a control step with stages at `places` (n,), m.
 
         Rows are the median and the standard deviation of the friction: first the mean over the
         places that the vehicle passed in the window, then at each of `places`, which do not
@@ -97,7 +102,9 @@ class RoadBelief:
 
         """
     def quantiles(self, s: ArrayLike, share: float) -> NDArray[np.float64]:
-        """Return the friction below which that at arc lengths (n,) lies with probability `share`.
+        """Return the quantiles (n,) of the friction at arc lengths `s` (n,), m.
+
+        With the probability `share` the friction lies below its quantile.
 
         >>> import numpy as np
         >>> from egp_service import Path, RoadBelief
@@ -112,6 +119,8 @@ class RoadBelief:
         """
     def tile(self, index: int) -> bytes:
         """Return what this vehicle measured in 64 cells, without what was reported to it.
+
+        A tile has 3136 bytes (docs/map.md).
 
         Raises:
             InvalidArgumentError: unless `index` is below `tiles`.
@@ -148,8 +157,8 @@ def merge_tiles(
     """Merge what several vehicles measured in the same tile, each with its age in s.
 
     Each contributes at most `capacity` nats (default 6) to a cell, and its information falls to 1/e
-    in `lifetime` s (1800). Of n informative contributions to a cell, of at least 0.5 nats, the
-    (n - 1) // 2 smallest likelihoods of a coefficient do not count (a trimmed sum; docs/map.md,
+    in `lifetime` s (default 1800). Of n informative contributions to a cell, of at least 0.5 nats,
+    the (n - 1) // 2 smallest likelihoods of a coefficient do not count (a trimmed sum; docs/map.md,
     section 2). The result does not depend on the order.
 
     >>> from egp_service import Path, RoadBelief
@@ -199,7 +208,7 @@ class SpeedPlanner:
         tyres: ArrayLike | None = None,
     ) -> SpeedPlanner: ...
     def places(self, s: float) -> NDArray[np.float64]:
-        """Return the arc lengths (n,), m, at which `plan` needs the friction for a vehicle at `s`.
+        """Return the arc lengths (n,), m, at which `plan` needs the friction; `s` is in m.
 
         Raises:
             InvalidArgumentError: unless `s` is finite.
@@ -208,9 +217,9 @@ class SpeedPlanner:
     def plan(self, s: float, friction: ArrayLike, v: float | None = None) -> SpeedProfile:
         """Plan the fastest speed from `s` on for the friction coefficients (n,) at the `places`.
 
-        The plan has the present speed `v`, m/s, half a distance of its places behind `s`. Without
-        a speed it begins with the largest one. Where the vehicle is too fast for what lies ahead,
-        the plan brakes with all grip.
+        The plan has the present speed `v`, m/s, at half the spacing of its places behind `s`, m.
+        Without a speed it begins with the largest one. Where the vehicle is too fast for what lies
+        ahead, the plan brakes with all grip.
 
         Raises:
             InvalidArgumentError: unless `s` is finite, `v` is within ±10000 m/s, and there is a

@@ -18,7 +18,7 @@ class RefusedError(EgpError):
 class LibraryError(EgpError):
     """A library file that failed a check.
 
-    `code` names the check, and the message says what to do next.
+    `code` names the check (docs/library.md lists the checks), and the message says what to do next.
     """
 
     code: str

@@ -71,7 +71,8 @@ class Library:
         Rows of `z` are `[v_x, v_y, omega, delta, F_x, delta_dot]` in m/s, m/s, rad/s, rad, N and
         rad/s. Returns the mean (n, 3), its Jacobian (n, 3, 6) and the variance of the latent
         function, which excludes measurement noise, (n, 3). The mean is the change of
-        `[v_x, v_y, omega]` over `dt`, in m/s, m/s and rad/s.
+        `[v_x, v_y, omega]` over `dt`, in m/s, m/s and rad/s, and the variance has the squares of
+        these units.
 
         >>> import numpy as np
         >>> from egp_service import Library
@@ -145,7 +146,7 @@ class Member:
         """Number of training points; 0 for a vehicle alone."""
     @property
     def envelope(self) -> NDArray[np.float64]:
-        """Smallest and largest inputs (2, 6) for which the member is meant, physical units."""
+        """Smallest and largest inputs (2, 6) for which the member is meant, as for `predict`."""
     @property
     def lengthscales(self) -> NDArray[np.float64]:
         """Lengthscales of each output (3, 6)."""

@@ -11,7 +11,13 @@ class OcpWeights:
 
     q (T, 7, 7) weights the error of the state after each input; it is symmetric, with a block for
     the position and a diagonal. Diagonals r (2,), positive, weight inputs, and r_d (2,) their
-    changes, the first of which is from `u_prev`. Without its axis T, q holds for all stages.
+    changes, the first of which is from `u_prev`. Without its axis T, q holds for all stages. States
+    and inputs have the units of `solve_ocp`.
+
+    Raises:
+        InvalidArgumentError: for a wrong shape, numbers that are not finite, and unless r is
+            positive and r_d at least 0.
+
     """
 
     def __new__(cls, *, q: ArrayLike, r: ArrayLike, r_d: ArrayLike) -> OcpWeights: ...
@@ -25,7 +31,12 @@ class OcpBounds:
     violation s costs `linear * s + 1/2 quadratic * s^2` with positive penalty rows [linear,
     quadratic] (n, 2). The first row may involve v_x, the second delta, the third p_x and p_y, the
     fourth v_y, the fifth omega; a row of zeros bounds nothing. Arrays without their axis T hold for
-    all stages.
+    all stages. States and inputs have the units of `solve_ocp`.
+
+    Raises:
+        InvalidArgumentError: for a wrong shape, numbers that are not finite, more than five soft
+            rows, and a penalty that is not positive.
+
     """
 
     def __new__(
@@ -87,7 +98,8 @@ def solve_ocp(
     """Solve a linear time-varying optimal control problem, eq. (18).
 
     The dynamics are x_{t+1} = A_t x_t + B_t u_t + c_t, t = 0..T-1, with states [p_x, p_y, v_x, psi,
-    v_y, omega, delta] and inputs [acceleration, steering rate]: A (T, 7, 7), B (T, 7, 2), c (T, 7),
+    v_y, omega, delta] in SI units and rad and inputs [acceleration, steering rate] in m/s² and
+    rad/s: A (T, 7, 7), B (T, 7, 2), c (T, 7),
     measured state x0 (7,), input now applied u_prev (2,), and reference (T, 7) of x_1..x_T. Arrays
     of problem, weights and bounds without their axis T hold for all stages, except A.
 
@@ -140,7 +152,8 @@ def solve_weights(
 
     Minimises the squared whitened errors of predictions (k, N, 3) against measured (k, 3), plus
     `strength` times the squared or absolute distance from the previous weights (N,), on the
-    simplex. noise_std (3,) is the standard deviation of the predictions' own noise. With
+    simplex. The outputs are the changes of [v_x, v_y, omega] in m/s, m/s and rad/s.
+    noise_std (3,) is the standard deviation of the predictions' own noise in these units. With
     measurement_std (3,), that of the measured states, the k transitions have to be consecutive: an
     output's errors then have the covariance noise_std² + 2 measurement_std², and neighbours
     -measurement_std².

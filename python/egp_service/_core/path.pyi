@@ -175,9 +175,10 @@ class Path:
         NDArray[np.float64],
         NDArray[np.float64],
     ]:
-        """Return x, y, yaw, curvature, left, right, friction at arc lengths (n,), each (n,).
+        """Return x, y, yaw, curvature, left, right, friction at arc lengths `s` (n,), each (n,).
 
-        Yaw lies in [-pi, pi]; left and right are infinite on a path without widths.
+        Lengths are in m, the curvature in 1/m. Yaw lies in [-pi, pi]; left and right are infinite
+        on a path without widths.
 
         Raises:
             InvalidArgumentError: for an arc length that is not finite.
@@ -190,28 +191,28 @@ class Projection:
 
     @property
     def s(self) -> float:
-        """Arc length of the nearest point; beyond an open path's ends that of its extension."""
+        """Arc length of the nearest point, m; beyond an open path's ends that of its extension."""
     @property
     def lateral(self) -> float:
-        """Signed distance from the path, positive to its left."""
+        """Signed distance from the path, m, positive to its left."""
     @property
     def x(self) -> float:
-        """The nearest point's x."""
+        """The nearest point's x, m."""
     @property
     def y(self) -> float:
-        """The nearest point's y."""
+        """The nearest point's y, m."""
     @property
     def yaw(self) -> float:
-        """The path's direction, in [-pi, pi]."""
+        """The path's direction, rad, in [-pi, pi]."""
     @property
     def curvature(self) -> float:
         """Curvature in 1/m, positive in left turns."""
     @property
     def left(self) -> float:
-        """Distance from the path to the left edge; infinite without widths."""
+        """Distance from the path to the left edge, m; infinite without widths."""
     @property
     def right(self) -> float:
-        """Distance from the path to the right edge; infinite without widths."""
+        """Distance from the path to the right edge, m; infinite without widths."""
     @property
     def friction(self) -> float:
         """Friction coefficient."""

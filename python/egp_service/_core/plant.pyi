@@ -53,13 +53,13 @@ class Plant:
         friction: _Surface | Path,
         hint: float | None = None,
     ) -> None:
-        """Drive `dt` seconds, at most 100, with the constant input `u = [F_x, delta_dot]`.
+        """Drive `dt` seconds, at most 100, with the constant input `u` (2,), `[F_x, delta_dot]`.
 
         The units are N and rad/s.
 
         The surface is the same everywhere, or that of the path's zone under each wheel. Wheels are
-        located on a path as by `Path.project`: pass the last projection's `s` as `hint`, or each
-        call searches the whole path.
+        located on a path as by `Path.project`: pass the last projection's `s`, m, as `hint`, or
+        each call searches the whole path.
 
         Raises:
             InvalidArgumentError: for a surface that is unknown, and for an input, a period, a

@@ -47,9 +47,12 @@ class VehicleParameters:
 
         """
     def fields(self) -> dict[str, float]:
-        """Return all values by their names."""
+        """Return all values by the names of the arguments, in their units."""
     def gate_limits(self) -> dict[str, float]:
-        """Return the limits of a gate that allows exactly what this vehicle can do."""
+        """Return the limits of a gate that allows exactly what this vehicle can do.
+
+        Keys and units are those of docs/settings.md, section 2.
+        """
     def __getnewargs_ex__(self) -> tuple[tuple[()], dict[str, float]]: ...
     @property
     def mass(self) -> float:

@@ -113,8 +113,11 @@ class VehicleClient(StepController):
         Without `endpoints` those of `zenoh_file` are used, a configuration of zenoh in JSON5 that
         replaces the defaults of this client.
 
-        `gate` holds the limits of the driven vehicle, as `VehicleParameters.gate_limits` gives
-        them, and may hold `max_tail_ticks` and `stop_deceleration`.
+        `fleet` and `vehicle` name the vehicle; no two vehicles of a fleet may have the same name.
+        `gate` holds the limits of the driven vehicle in SI units and rad, as
+        `VehicleParameters.gate_limits` gives them, and may hold `max_tail_ticks` and
+        `stop_deceleration`. With `want_sigma` steps have the standard deviations `sigma`.
+        `timeout` is the time for which a replica that fits is awaited, s.
         `key_file` has the vehicle's secret key, made by `egp keys`: requests are sealed with it,
         and only answers of a service that has the same key are used (docs/security.md).
         `budget` is the part of the control period that an answer may take, in (0, 1].
@@ -176,12 +179,7 @@ class VehicleClient(StepController):
 
     def _decide(self, start: float, budget: float, measured: Measured) -> Decision:
         due = start + budget
-        told = 0
-        while told < _FEW_EVENTS or time.monotonic() < due:
-            if (happened := self._network.next(0.0)) is None:
-                break
-            self._tell(happened)
-            told += 1
+        self._tell_what_came(due)
         self._driver.tick(start, due, *measured)
         while True:
             while (action := self._driver.next_action()) is not None:
@@ -192,9 +190,19 @@ class VehicleClient(StepController):
             happened = self._network.next(wake - time.monotonic())
             if happened is not None:
                 self._tell(happened)
-            # The deadline ends the period although events keep coming.
-            if (now := time.monotonic()) >= wake:
-                self._driver.wake(now)
+            # The deadline ends the period although events keep coming. After a delay of this
+            # program, an answer that came in time may still wait behind others.
+            if time.monotonic() >= wake:
+                self._tell_what_came(time.monotonic())
+                self._driver.wake(time.monotonic())
+
+    def _tell_what_came(self, due: float) -> None:
+        told = 0
+        while told < _FEW_EVENTS or time.monotonic() < due:
+            if (happened := self._network.next(0.0)) is None:
+                return
+            self._tell(happened)
+            told += 1
 
     def _tell(self, happened: Callable[[Driver], None]) -> None:
         # This program may have been held up since the event came.
@@ -262,7 +270,8 @@ class Network:
 
     def _look_again(self, replica: str) -> None:
         key = LIVE_KEYS.replace("*", replica)
-        # A thread of zenoh finds the silence, and the one that handles events asks again.
+        # zenoh calls `silence` in its own thread if no answer came in time. It only adds an event,
+        # so that the thread that handles events repeats the question.
         silence = partial(self._inbox.put, lambda _: self._look_again(replica))
         look_again(self.session, key, self._on_token, silence)
 

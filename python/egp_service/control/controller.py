@@ -47,8 +47,9 @@ class Controller(StepController):
 
         They are a mapping such as `{"cost": {"lateral": 30.0}}` or the same as TOML text.
 
-        `gate` holds the limits of the driven vehicle, as `VehicleParameters.gate_limits` gives
-        them, and may hold `max_tail_ticks` and `stop_deceleration`.
+        `gate` holds the limits of the driven vehicle in SI units and rad, as
+        `VehicleParameters.gate_limits` gives them, and may hold `max_tail_ticks` and
+        `stop_deceleration`. With `want_sigma` steps have the standard deviations `sigma`.
 
         Raises:
             InvalidArgumentError: for a library that is no path, and for settings of which a name or

@@ -83,8 +83,9 @@ class FleetMap:
     ) -> None:
         """Connect to the map service at `endpoint`, such as `tcp/127.0.0.1:7448`.
 
-        All vehicles of a fleet name a road alike; `vehicle` must be unique in the fleet. `lifetime`
-        is that of the service: reports age while it is silent. `zenoh_file` and `zenoh_config` are
+        All vehicles of a fleet name a road alike; `vehicle` must be unique in the fleet.
+        `lifetime`, s, is that of the service: reports age while it is silent. `timeout`, s, is that of the
+        connection and of the last evidence on leaving. `zenoh_file` and `zenoh_config` are
         as for `VehicleClient.connect`.
 
         Raises:
@@ -114,7 +115,8 @@ class FleetMap:
         self._patience = timeout
         self._exchanged = time.monotonic()
         self._warned: set[str] = set()
-        # Whether the last question had no answer, and whether this is told by `fetch` itself.
+        # `_silent`: the last question had no answer. `_fetching`: `fetch` is running, which reports
+        # a missing answer itself, so that no second warning is logged.
         self._silent = self._fetching = False
         try:
             config = session_config([endpoint], timeout, zenoh_config or {}, zenoh_file)

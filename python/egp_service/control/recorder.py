@@ -197,7 +197,12 @@ class Recorder:
             raise
 
     def close(self) -> None:
-        """Complete the file with its index."""
+        """Complete the file with its index.
+
+        Raises:
+            OSError: if the file cannot be written.
+
+        """
         if not self._file.closed:
             with self._whole():
                 self._writer.finish()  # type: ignore[no-untyped-call]

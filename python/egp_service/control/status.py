@@ -121,6 +121,11 @@ class StatusPublisher:
         `x` is the measured state (7,), `[p_x, p_y, v_x, psi, v_y, omega, delta]` in SI units and
         rad, `time` the time since the start in s, `lateral_error` the distance from the reference
         in m, positive to the left. `truth` is the message `PlantTruth` of a simulated vehicle.
+
+        Raises:
+            InvalidArgumentError: unless `x` has the shape (7,).
+            EgpError: if the publisher is closed.
+
         """
         state = measured_state(x)
         if self._session.is_closed():

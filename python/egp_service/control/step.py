@@ -115,10 +115,11 @@ class Step(EqualByValue):
     plan_u: NDArray[np.float64] | None
     """Inputs (T, 2) of the new plan, `[F_x, delta_dot]` in N and rad/s."""
     sigma: NDArray[np.float64] | None
-    """Standard deviations (T+1, 3) of `[v_x, v_y, omega]` along the plan, if requested."""
+    """Standard deviations (T+1, 3) of `[v_x, v_y, omega]` along the plan, if requested, in m/s, m/s
+    and rad/s."""
     friction: Friction | None
     """Posterior of the friction coefficient from the last transitions; `None` without a reply.
-    Whether they tell anything about it is its `informed`."""
+    Its field `informed` states whether these transitions contain information about the friction."""
     timings: Timings
     replica: str
     """Name of the replica that replied or was asked last; empty if none was asked."""
@@ -214,7 +215,7 @@ class StepController(ABC):
 
     def __init__(self) -> None:
         """Make what all controllers have."""
-        # The same thread may come twice, for instance in a handler of a signal.
+        # It is re-entrant because a signal handler may call a method inside another one.
         self._lock = threading.RLock()
         self._stepping = self._to_reset = self._closed = False
 
@@ -272,7 +273,7 @@ class StepController(ABC):
                 decision = self._decide(start, budget, (x, reference, widths, road_friction))
                 return Step.of(decision, self._driver.weights, time.monotonic() - start)
             except BaseException:
-                # The command of this period is not that of a later one.
+                # Gives the open period up, so that a later step does not return its command.
                 self._driver.abandon()
                 raise
             finally:

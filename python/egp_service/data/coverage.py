@@ -22,7 +22,7 @@ SPEEDS: Final = np.array([0.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0, 40.0, np.inf])
 LATERAL: Final = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, np.inf])
 """Borders of the bins of the lateral acceleration, the magnitude of v_x omega, m/s²."""
 THIN: Final = 2.0
-"""s; a bin with less data tells a member little."""
+"""Time in s below which a bin has too few data to train on."""
 # Share of the grip from which cornering tells the friction.
 _GRIP: Final = 0.6
 _LEAST: Final = 5.0  # s

@@ -237,7 +237,7 @@ def _check_columns(
 
 
 def _check_quantities(columns: Mapping[str, Column], mass: float | None) -> None:
-    """Errors if a quantity or its unit is none, or if the force cannot be computed."""
+    """Errors if a quantity or its unit is unknown, or if the force cannot be computed."""
     for quantity, column in columns.items():
         if quantity not in plausibility.LARGEST:
             raise EgpError(

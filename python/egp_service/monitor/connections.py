@@ -88,7 +88,7 @@ def allow_descriptors() -> None:
 
 
 def report(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """Report what fails in the event loop, but no want of descriptors.
+    """Report what fails in the event loop, except a lack of file descriptors.
 
     The loop accepts connections again a second later, and a traceback for each attempt would fill
     the log.

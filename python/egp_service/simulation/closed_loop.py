@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 
 # s; the first step may take longer because connections and caches are cold.
 FIRST_DEADLINE = 2.0
-# A run ends after this multiple of the time of the reference that knows all zones. A reference that
-# knows less is slower.
+# A run ends after this multiple of the time of the reference that is planned for the friction of
+# all zones. A reference that does not use it is slower.
 PATIENCE = {"zones": 2.0, "here": 4.0, "weights": 4.0, "nothing": 4.0}
 STANDSTILL = 0.3
 TOO_LONG = "took too long"

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 Observation = np.ndarray[tuple[int], np.dtype[np.float64]]
 
 _AHEAD: Final = np.array([0.0, 5.0, 10.0, 20.0, 40.0])  # m, where the curvature is observed
-_PATIENCE: Final = 4.0  # times of the lap that is told all zones, after which an episode ends
+_PATIENCE: Final = 4.0  # times of the planned lap, after which an episode ends
 
 
 class TrackEnvironment(gym.Env[Observation, Observation]):
@@ -77,12 +77,17 @@ class TrackEnvironment(gym.Env[Observation, Observation]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Put the vehicle on the start of the path, at the speed of the told lap.
+        """Put the vehicle on the start of the path, at the speed planned for the true friction.
 
         `seed` replaces the scenario's seed: it makes the measurement noise, and a random track
         unless the scenario's `track.parameters` state a seed. The same seed makes the same episode,
         and the same ones after it. Without `seed`, the first episode has the scenario's own seed,
-        and each later one a seed that is drawn from `np_random`. `options` has no effect.
+        and each later one a seed that is drawn from `np_random`. `options` has no effect. Returns
+        the observation and a dictionary of information, as `step` does.
+
+        Raises:
+            EgpError: if the track of the seed cannot be made.
+
         """
         if seed is None and self._np_random is None:
             seed = self._scenario.seed
@@ -92,7 +97,11 @@ class TrackEnvironment(gym.Env[Observation, Observation]):
         return self._observe(self._plant.state)
 
     def step(self, action: Observation) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Drive one period with the action, which is limited to [-1, 1]².
+        """Drive one period with the action (2,), which is limited to [-1, 1]².
+
+        Returns the observation (11,), the reward, which is the progress along the path in m,
+        whether the episode ended on the road's end or beside it, whether it took too long, and a
+        dictionary of information.
 
         Raises:
             InvalidArgumentError: unless the action has the shape (2,) and is finite; the period is

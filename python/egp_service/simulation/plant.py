@@ -34,7 +34,8 @@ class Simulator(Protocol):
     States are `[p_x, p_y, v_x, psi, v_y, omega, delta]`: position in m in the map's frame, speeds
     in m/s in the vehicle's frame (x ahead, y to the left), yaw in rad counter-clockwise from the
     map's x axis, yaw rate in rad/s, steering angle of the front wheels in rad, positive to the
-    left; all of the centre of mass.
+    left; all of the centre of mass. An exception of a method becomes a `PlantError`, and a state
+    that is not finite or more than 1e7 m from the origin ends the run.
     """
 
     def reset(self, x: NDArray[np.float64]) -> None:

@@ -247,7 +247,7 @@ def _tyre_line(name: str, value: float, origin: str, doubt: str) -> Line:
 
 
 def _doubt(fitted: Sequence[FittedVehicle], names: tuple[str, ...], unreached: str) -> str:
-    """Say why to check what these parameters of the tyres give; empty if nothing tells to."""
+    """Return the reasons to check the values of these tyre parameters; empty without a reason."""
     own = [p for vehicle in fitted for p in vehicle.parameters if p.name in names]
     warnings = []
     if any(parameter.at_bound for parameter in own):

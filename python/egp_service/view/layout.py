@@ -74,7 +74,7 @@ def _map(run: RecordedRun) -> rrb.Spatial3DView:
 def _from_above(
     name: str, origin: str, centre: Sequence[float], height: float, up: tuple[float, float, float]
 ) -> rrb.Spatial3DView:
-    """Look down on a piece of ground; the viewer's eye sees as much of it as it is above it."""
+    """Return a view of the ground from above `centre`, m, which shows about `height` m of it."""
     x, y = centre
     eye = rrb.EyeControls3D(position=(x, y, height), look_target=(x, y, 0.0), eye_up=up)
     return rrb.Spatial3DView(

@@ -43,8 +43,8 @@ struct Demotion {
 /// follow, the earliest failure first: when no replica is known to work, each is asked in turn, and one that has been
 /// started again is found although another one answered until it froze.
 ///
-/// A replica fails by letting a deadline pass, by an answer that cannot be used, or by an error that other replicas may
-/// not have. Because a frozen replica may stay frozen, it is promoted again only once its demotion has passed and it
+/// A replica fails by letting a deadline pass, by an answer that cannot be used, or by an error whose cause is not the
+/// request, its timing or the load. Because a frozen replica may stay frozen, it is promoted again only once its demotion has passed and it
 /// has answered a probe in time, so that no control period is spent on finding out.
 ///
 /// A replica is asked for steps only once it has described what the vehicle needs ([`Replicas::fits`]). Its plans could be
@@ -177,8 +177,8 @@ impl Replicas {
         Some(replica.clone())
     }
 
-    /// Notes that a replica answered in time a probe that was sent at that time. A probe from before the end of the
-    /// demotion only tells whether the replica fits.
+    /// Notes that the replica answered in time the probe that was sent at `sent`. A probe that was sent before the end of
+    /// the demotion does not end the demotion.
     pub(crate) fn probe_answered(&mut self, replica: &Name, sent: Time) {
         if let Some(demotion) = self.demoted.get_mut(replica)
             && sent >= demotion.until

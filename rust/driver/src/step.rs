@@ -101,7 +101,8 @@ impl Outcome {
             Self::Refused(error) => format!("{}: {error}", error.code_name()),
             Self::Unusable(invalid) => format!("the reply cannot be used: {invalid}"),
             Self::Late => "no answer came before the deadline".to_owned(),
-            Self::Unreachable => "no replica of the service can be reached, or its access control does not admit this \
+            Self::Unreachable => "no replica of the service can be reached that fits: none announces itself, or those that do \
+                shut down, serve another library or vehicle or have another horizon, or access control does not admit this \
                 vehicle's certificate"
                 .to_owned(),
             Self::InvalidState(invalid) => invalid.to_string(),

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use crate::grid::{Grid, Row};
+use crate::grid::{Grid, Row, to_probabilities};
 use crate::tile::{TILE_CELLS, Tile};
 
 /// Logarithm of the odds that reports describe the road before anything was measured: ln 4, a probability of 0.8. With larger
@@ -71,27 +71,18 @@ impl Reported {
     /// `stated` are the probabilities of the coefficients in the cells there, which count equally, since a border may be
     /// reported a few metres off. Successive windows share all transitions but one: the odds before the present window
     /// contain those that ended before it began, each with the weight `1 / window`, and the present window counts once. A
-    /// window changes the logarithm of the odds, in nats, by `r = ln(ε + (1 - ε) Σ q ((1 - β) l + β l̄) / Σ p₀ l)`
-    /// (`docs/map.md`, section 3), with the stated probabilities `q`, the likelihoods `l`, those of the coefficient as a
-    /// lower bound `l̄`, and the prior `p₀`.
+    /// window changes the logarithm of the odds, in nats, by `r = ln(ε + (1 - ε) Σ ((1 - β) q + β q̄) l / Σ p₀ l)`
+    /// (`docs/map.md`, section 3), with the stated probabilities `q`, those if they are lower bounds `q̄`, the likelihoods
+    /// `l` and the prior `p₀`. Where nothing was reported, `q` and `q̄` are the prior, and the odds stay as they are.
     pub fn compare(&mut self, stated: &[Row], log_likelihood: &Row, grid: &Grid, window: usize) {
         let most = (log_likelihood.iter().copied()).fold(0.0, f64::max);
         let likelihood = log_likelihood.map(|value| (value - most).exp());
-        let mean =
-            |row: &Row, values: &Row| -> f64 { row.iter().zip(values).map(|(p, v)| p * v).sum() };
-        // The window's probability for each coefficient, if that is a lower bound.
-        let mut bounded = likelihood;
-        let (mut mass, mut sum) = (0.0, 0.0);
-        for (value, prior) in bounded.iter_mut().zip(&grid.prior).rev() {
-            mass += prior;
-            sum += prior * *value;
-            *value = sum / mass;
-        }
-        let given: Row =
-            std::array::from_fn(|h| likelihood[h] + BOUNDS * (bounded[h] - likelihood[h]));
-        let described =
-            stated.iter().map(|row| mean(row, &given)).sum::<f64>() / stated.len() as f64;
-        let unrelated = mean(&grid.prior, &likelihood);
+        let mean = |row: &Row| -> f64 { row.iter().zip(&likelihood).map(|(p, l)| p * l).sum() };
+        let described = |row: &Row| {
+            (1.0 - BOUNDS) * mean(row) + BOUNDS * mean(&as_lower_bounds(row, &grid.prior))
+        };
+        let described = stated.iter().map(described).sum::<f64>() / stated.len() as f64;
+        let unrelated = mean(&grid.prior);
         let ratio = (OUTLIERS + (1.0 - OUTLIERS) * described / unrelated).ln();
         if !ratio.is_finite() {
             return; // the window excludes all coefficients
@@ -104,4 +95,17 @@ impl Reported {
         }
         self.present = (self.past + ratio).min(MOST_LOG_ODDS);
     }
+}
+
+/// The probabilities of the coefficients if the stated ones are lower bounds: `q̄ ∝ p₀ max(q / p₀)` with the maximum over all
+/// smaller or equal coefficients. A single stated coefficient becomes the prior above it, and the prior stays the prior.
+fn as_lower_bounds(stated: &Row, prior: &Row) -> Row {
+    let mut most = 0.0_f64;
+    let mut bounds = *stated;
+    for (value, prior) in bounds.iter_mut().zip(prior) {
+        most = most.max(*value / prior);
+        *value = prior * most;
+    }
+    to_probabilities(&mut bounds);
+    bounds
 }

@@ -126,7 +126,7 @@ pub fn horizon_reference(
         } else {
             from
         };
-        yaw = rows.write(stage, path, s, profile.speed(s), yaw);
+        yaw = rows.write(stage, path, s, profile.speed_at(s), yaw);
     }
     let (Some(v_x), [_, _, first, first_yaw]) = (catch_up_from, rows.reference[0]) else {
         return Ok(projection);
@@ -137,7 +137,7 @@ pub fn horizon_reference(
     let (mut s, mut yaw) = (from, first_yaw);
     for stage in 0..stages {
         let most = v_x.max(0.0) + LAG + PICK_UP * stage as f64 * dt;
-        let v = profile.speed(s).min(most);
+        let v = profile.speed_at(s).min(most);
         yaw = rows.write(stage, path, s, v, yaw);
         s += v * dt;
     }

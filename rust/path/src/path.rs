@@ -131,7 +131,7 @@ impl Path {
     ///
     /// # Errors
     /// [`PathError`] if there are no pieces, the step is not positive, a number is not finite or a width negative, widths are
-    /// not one row per knot, or the zones are none for [`Self::with_friction`].
+    /// not one row per knot, or [`Self::with_friction`] would not accept the zones.
     pub fn from_parts(parts: PathParts) -> Result<Self, PathError> {
         parts.check()?;
         let pieces = parts.pieces.into_iter().map(Piece::new).collect();

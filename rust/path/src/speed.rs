@@ -170,6 +170,11 @@ impl SpeedProfile {
         self.speed_after(self.unwrapped(s) - self.start)
     }
 
+    /// As [`Self::speed`], at an arc length that counts on from the profile's start, as those of [`Self::station`] do.
+    pub(crate) fn speed_at(&self, s: f64) -> f64 {
+        self.speed_after(s - self.start)
+    }
+
     /// Speed at a distance from the first knot.
     fn speed_after(&self, s: f64) -> f64 {
         let s = if self.closed {

@@ -1,7 +1,6 @@
 //! `Path`.
 
 use std::fmt::Display;
-use std::fs;
 use std::io::ErrorKind;
 use std::path::PathBuf;
 
@@ -10,6 +9,7 @@ use egp_path::tracks::{
     Corner, DoubleLaneChange, LShape, LaneChanges, RandomTrack, RoundedRectangle,
 };
 use egp_path::{PathError, PathParts, Zone};
+use egp_wire::read_text;
 use pyo3::prelude::*;
 use pyo3::types::PyType;
 
@@ -168,15 +168,18 @@ impl Path {
     #[doc = doc!(Path.from_csv)]
     #[staticmethod]
     #[pyo3(signature = (file, scale = 1.0))]
-    fn from_csv(file: PathBuf, scale: f64) -> PyResult<Self> {
+    fn from_csv(py: Python<'_>, file: PathBuf, scale: f64) -> PyResult<Self> {
         let refuse = |error: &dyn Display| raise(format!("{}: {error}", file.display()));
-        let text = fs::read_to_string(&file).map_err(|error| match error.kind() {
-            ErrorKind::InvalidData => {
-                refuse(&"this is no text in UTF-8; save the table as UTF-8, or give another file")
-            }
-            _ => refuse(&system_text(&error)),
-        })?;
-        read_track(&text, scale)
+        let text = py
+            .detach(|| read_text(&file))
+            .map_err(|error| match error.kind() {
+                ErrorKind::InvalidData => refuse(&format!(
+                    "{error}; save the table in this form, or give another file"
+                )),
+                ErrorKind::InvalidInput => refuse(&error),
+                _ => refuse(&system_text(&error)),
+            })?;
+        py.detach(|| read_track(&text, scale))
             .map(Self)
             .map_err(|error| match error {
                 PathError::Parameter { name: "scale", .. } => InvalidArgumentError::raise(error),
@@ -185,7 +188,7 @@ impl Path {
     }
 
     #[doc = doc!(Path.with_friction)]
-    fn with_friction(&self, zones: &Bound<'_, PyAny>) -> PyResult<Self> {
+    fn with_friction(&self, py: Python<'_>, zones: &Bound<'_, PyAny>) -> PyResult<Self> {
         let wrong = |found: &Bound<'_, PyAny>| {
             InvalidArgumentError::new_err(format!(
                 "zones: expected rows (start, friction), or (start, left, right) on a split road, got {found:?}"
@@ -201,9 +204,7 @@ impl Path {
                 right: right.map(|right| right.surface()).transpose()?,
             });
         }
-        self.0
-            .clone()
-            .with_friction(&checked)
+        py.detach(|| self.0.clone().with_friction(&checked))
             .map(Self)
             .map_err(InvalidArgumentError::raise)
     }
@@ -275,7 +276,7 @@ impl Path {
     /// The path of the numbers of `__reduce__`. Raises `InvalidArgumentError` if no path consists of these numbers.
     #[classmethod]
     fn _restore(
-        _cls: &Bound<'_, PyType>,
+        cls: &Bound<'_, PyType>,
         closed: bool,
         step: f64,
         pieces: Cube<'_>,
@@ -294,7 +295,8 @@ impl Path {
             widths: widths.map(|widths| rows("widths", &widths)).transpose()?,
             zones: zones.collect(),
         };
-        egp_path::Path::from_parts(parts)
+        cls.py()
+            .detach(|| egp_path::Path::from_parts(parts))
             .map(Self)
             .map_err(InvalidArgumentError::raise)
     }

@@ -27,7 +27,9 @@ impl SpeedProfile {
     #[pyo3(signature = (
         path, vehicle, grip = 0.8, v_max = 30.0, *, start_speed = None, end_speed = None, tyres = None
     ))]
+    #[allow(clippy::too_many_arguments)] // the limits of a profile
     fn new(
+        py: Python<'_>,
         path: &Path,
         vehicle: &VehicleParameters,
         grip: f64,
@@ -44,7 +46,7 @@ impl SpeedProfile {
             tyres: tyre_rows(tyres)?,
             ..SpeedLimits::of(&vehicle.0)
         };
-        egp_path::SpeedProfile::new(&path.0, &limits)
+        py.detach(|| egp_path::SpeedProfile::new(&path.0, &limits))
             .map(Self)
             .map_err(InvalidArgumentError::raise)
     }

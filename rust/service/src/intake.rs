@@ -171,7 +171,7 @@ impl<Q: Query> Shared<Q> {
             Err(Refused::Full(job)) => self.refuse_job(&job, &self.overloaded()),
             Err(Refused::Late(job)) => self.refuse_job(&job, &self.too_late(job.budget())),
             Err(Refused::Closed(job)) => {
-                let detail = "this replica is going away, ask another";
+                let detail = "this replica is shutting down; ask another one";
                 self.refuse_job(&job, &WireError::retryable(Code::Draining, 0, detail));
             }
         }

@@ -2,11 +2,9 @@
 //!
 //! A vehicle that asks again before it was served no longer needs the older answer, so its newest request takes the
 //! slot; a vehicle that sends too many requests displaces only its own. Serving the earliest deadline first keeps late
-//! requests from delaying the others. If not all can be served, vehicles take turns: the request of a vehicle that was
-//! served longer ago takes the place of one whose vehicle was served last.
-//!
-//! A vehicle that asks again at once, with deadlines that are earlier than those of all others, would always be first. The
-//! deadlines by which the queue is ordered are therefore those of `Turn::ordering_deadline`.
+//! requests from delaying the others. If not all can be served, or if the queue is full, vehicles take turns: the request of
+//! a vehicle that was served longer ago takes the place of one whose vehicle was served last. A vehicle that asks again at once,
+//! with earlier deadlines than all others, would always be first: `Turn::ordering_deadline` orders the queue therefore.
 
 use std::collections::{BTreeMap, HashMap};
 use std::time::Instant;
@@ -26,11 +24,13 @@ struct Waiting<T> {
 }
 
 impl<T> Waiting<T> {
-    /// The place of the item before `place` whose vehicle was served last; none if no vehicle of these was served after `turn`.
-    fn served_after(&self, turn: u64, place: Place) -> Option<Place> {
+    /// The place of the item whose vehicle was served last, of those before `end` if there is one; none if no vehicle of these
+    /// was served after `turn`.
+    fn served_after(&self, turn: u64, end: Option<Place>) -> Option<Place> {
         let turns = self
             .by_place
-            .range(..place)
+            .iter()
+            .take_while(|(place, _)| end.is_none_or(|end| **place < end))
             .map(|(place, (vehicle, _))| (self.served.number(vehicle), *place));
         turns
             .max()
@@ -48,7 +48,7 @@ impl<T> Waiting<T> {
 /// Why an item was not queued; it is handed back.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Refused<T> {
-    /// The largest number of vehicles wait already.
+    /// The largest number of vehicles wait already, and none of them was served after this one.
     Full(T),
     /// It would be served too late.
     Late(T),
@@ -107,18 +107,19 @@ impl<T> Queue<T> {
         let mut displaced = None;
         let queued = if waiting.closed {
             Err(Refused::Closed(item))
-        } else if waiting.slots.len() >= self.capacity {
-            Err(Refused::Full(item))
         } else {
+            let full = waiting.slots.len() >= self.capacity;
             let late = !in_time(ahead);
-            if late {
+            if full || late {
+                // Only a place before this one makes a late request earlier.
                 displaced = waiting
-                    .served_after(turn.number, place)
-                    .filter(|_| in_time(ahead - 1))
+                    .served_after(turn.number, late.then_some(place))
+                    .filter(|_| !late || in_time(ahead - 1))
                     .and_then(|other| waiting.remove(other));
             }
-            if late && displaced.is_none() {
-                Err(Refused::Late(item))
+            if (full || late) && displaced.is_none() {
+                let refused = if full { Refused::Full } else { Refused::Late };
+                Err(refused(item))
             } else {
                 waiting.tickets += 1;
                 waiting.slots.insert(vehicle.clone(), place);
@@ -262,8 +263,8 @@ mod tests {
     }
 
     /// A queue that served `a`, `b` and `c` in this order.
-    fn served(start: Instant) -> Queue<&'static str> {
-        let queue = Queue::new(8);
+    fn served(start: Instant, capacity: usize) -> Queue<&'static str> {
+        let queue = Queue::new(capacity);
         for vehicle in ["a", "b", "c"] {
             queue.push(vehicle.to_owned(), start, vehicle, FITS);
             queue.pop();
@@ -274,7 +275,7 @@ mod tests {
     #[test]
     fn a_vehicle_that_was_served_earlier_takes_the_place_of_the_one_served_last() {
         let start = Instant::now();
-        let queue = served(start);
+        let queue = served(start, 8);
         let push = |vehicle: &'static str, ms| {
             queue.push(vehicle.to_owned(), at(start, ms), vehicle, |ahead| {
                 ahead < 2
@@ -298,9 +299,21 @@ mod tests {
     }
 
     #[test]
+    fn in_a_full_queue_it_takes_a_place_behind_its_own_as_well() {
+        let start = Instant::now();
+        let queue = served(start, 2);
+        let push = |vehicle, ms| queue.push(String::from(vehicle), at(start, ms), vehicle, FITS);
+        push("b", 10);
+        push("c", 30);
+        assert_eq!(push("a", 20).displaced, Some("c"));
+        assert_eq!(push("c", 5).queued, Err(Refused::Full("c")));
+        assert_eq!([queue.pop(), queue.pop()], [Some("b"), Some("a")]);
+    }
+
+    #[test]
     fn nothing_gives_up_its_place_for_a_request_that_is_late_nevertheless() {
         let start = Instant::now();
-        let queue = served(start);
+        let queue = served(start, 8);
         queue.push("c".to_owned(), at(start, 10), "c", FITS);
         let pushed = queue.push("a".to_owned(), at(start, 20), "a", |_| false);
         assert_eq!(
@@ -313,7 +326,7 @@ mod tests {
     #[test]
     fn a_new_name_has_no_turn_before_others() {
         let start = Instant::now();
-        let queue = served(start);
+        let queue = served(start, 8);
         queue.push("a".to_owned(), at(start, 10), "a", FITS);
         let alone = |ahead| ahead < 1;
         for vehicle in ["new", "other"] {

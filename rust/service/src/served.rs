@@ -24,9 +24,10 @@ impl Turn {
     /// The deadline by which the queue orders the vehicle's next request.
     ///
     /// It is that of a constant bandwidth server (Abeni and Buttazzo, "Integrating multimedia applications in hard real-time
-    /// systems", IEEE Real-Time Systems Symposium, 1998) with a period of `SPACING`: at least that much after the one by
-    /// which the vehicle's last served request was ordered. A vehicle that asks at most once in this time keeps its deadlines.
-    /// One that the longest deferral does not reach was of a request with a longer budget, and does not count.
+    /// systems", IEEE Real-Time Systems Symposium, 1998) with a period of `SPACING`: the request's own deadline, or `SPACING`
+    /// after the ordering deadline of the vehicle's last served request if that is later, but at most `LONGEST_DEFERRAL`
+    /// after its own deadline. A vehicle that asks at most once in this time keeps its deadlines. A last ordering deadline
+    /// beyond this maximum belongs to a request with a longer budget and is ignored.
     pub(crate) fn ordering_deadline(self, deadline: Instant) -> Instant {
         let latest = deadline + LONGEST_DEFERRAL;
         let last = self.deadline.filter(|last| *last <= latest);

@@ -323,7 +323,7 @@ fn read_keys(shared: &Shared<Received>, file: Option<&Path>) {
     match read {
         Ok(vehicles) => tracing::info!(vehicles, "keys of the vehicles read again"),
         Err(error) => {
-            tracing::error!(%error, "keys of the vehicles not read again; those of before hold");
+            tracing::error!(%error, "the vehicles' keys could not be read again; the keys from before remain in use");
         }
     }
 }

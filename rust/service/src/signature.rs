@@ -50,7 +50,7 @@ pub enum SignatureError {
         /// The file.
         path: String,
     },
-    /// The signature is none of this library by one of the keys.
+    /// None of the keys verifies the signature for this library.
     #[error(
         "{path} is not signed by any of the {keys} configured keys; sign it with `egp sign`, or add the signer's key"
     )]
@@ -87,7 +87,7 @@ impl Signers {
     /// Checks the bytes of a library with the signature in the file beside it, and returns that signature.
     ///
     /// # Errors
-    /// [`SignatureError`] if there is no signature, or none of these bytes by one of the keys.
+    /// [`SignatureError`] if there is no signature, or if none of the keys verifies it for these bytes.
     pub(crate) fn check(
         &self,
         library: &Path,

@@ -80,7 +80,8 @@ pub(crate) fn unusable(mut endpoints: Value) -> Option<String> {
     found.and_then(|endpoint| places(Value::from(endpoint)).pop())
 }
 
-/// The first endpoint that would take the address from another listener of this process, or it from this one.
+/// The first endpoint with the same port as `address` and with the same IP address, or where one of the two is unspecified
+/// (`0.0.0.0` or `::`): only one of both listeners can be opened.
 pub(crate) fn same_address(mut endpoints: Value, address: SocketAddr) -> Option<String> {
     let mut found = None;
     each(&mut endpoints, &mut |endpoint| {

@@ -36,7 +36,7 @@ impl World<'_> {
             return Ok(());
         }
         if process.frozen > 0 {
-            // A process that has not ended has no successor.
+            // A frozen process has not ended, so that the next one starts only when it continues.
             process.deferred.push(Event::Start(r));
             return Ok(());
         }

@@ -22,7 +22,7 @@ pub enum Invalid {
     Malformed(#[from] prost::DecodeError),
     /// Another version of the messages.
     #[error(
-        "message version {actual}, this side has version {}; update the older one",
+        "the message has version {actual}, and this program has version {}; update the older program",
         crate::VERSION
     )]
     Version {

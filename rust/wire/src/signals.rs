@@ -1,4 +1,4 @@
-//! Signals that would end a program before it has said what it has to say.
+//! Signals whose default action would end a program before it has written its results.
 
 use std::ffi::c_int;
 use std::sync::Arc;

@@ -88,6 +88,9 @@ fn why_it_stands(step: &Step) -> String {
     let detail = step.outcome.detail();
     let reason = match &step.lost {
         Some(lost) => lost.to_string(),
+        None if step.command.mode == Mode::Stop && step.outcome.is_solved() => {
+            "the gate stopped it while no plan came, and it stays stopped until the vehicle is reset".to_owned()
+        }
         None if step.outcome.is_solved() => "its plans do not drive".to_owned(),
         None if detail.is_empty() => "no plan came in time".to_owned(),
         None => format!("no plan came in time; the last answer: {detail}"),

@@ -20,7 +20,7 @@ pub enum LibraryError {
     Parquet,
     /// The header's length field is beyond the limit; nothing of it was parsed.
     #[error(
-        "this is not a library file: its first bytes claim a header of {bytes} bytes, the limit is {limit}; give a library of `egp train`"
+        "this is not a library file: its first bytes state a header of {bytes} bytes, and the limit is {limit}; give a library of `egp train`"
     )]
     HeaderTooLarge {
         /// What the length field says.
@@ -28,10 +28,12 @@ pub enum LibraryError {
         /// Largest accepted header.
         limit: usize,
     },
-    /// The file ends before, or goes on after, what its header promises.
-    #[error("header promises {expected} bytes, the file has {found}; copy or export it again")]
+    /// The file is shorter or longer than its header states.
+    #[error(
+        "the header states {expected} bytes, but the file has {found}; copy or export it again"
+    )]
     Length {
-        /// Bytes promised.
+        /// Bytes that the header states.
         expected: usize,
         /// Bytes present.
         found: usize,
@@ -78,7 +80,7 @@ pub enum LibraryError {
     },
     /// A kernel that is not built in.
     #[error(
-        "kernel is \"{found}\", known are {}; train with one of these",
+        "kernel is \"{found}\", but the supported ones are {}; train with one of these",
         Kernel::ALL.map(Kernel::name).join(", ")
     )]
     UnknownKernel {
@@ -249,7 +251,7 @@ pub enum LibraryError {
     /// `alpha` does not solve its linear system.
     #[error(
         "\"{tensor}\" leaves the residual {residual:e} in (K + s² I) alpha = y - m for output {output}, \
-         allowed is {tolerance:e}; compute it by an exact Cholesky solve in double precision"
+         at most {tolerance:e} is allowed; compute it by an exact Cholesky solve in double precision"
     )]
     Alpha {
         /// Name.

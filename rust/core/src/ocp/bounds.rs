@@ -175,7 +175,7 @@ fn track(reference: &State, [left, right]: &[f64; 2], margin: f64) -> SoftRow {
 mod tests {
     use super::*;
 
-    /// Tyres whose lateral force takes nothing of the other one.
+    /// Tyres whose longitudinal limits do not depend on the lateral force.
     const TYRES: TyreLimits = TyreLimits {
         friction: 1.0,
         slip: f64::INFINITY,
@@ -245,7 +245,8 @@ mod tests {
             (found[0] - drive).abs().max((found[1] - brake).abs()) < 1e-12
         };
         assert_eq!(bounds(0.0, 0.0, 1.0), [1.0; 2]);
-        // 3 of 5 m/s² across, with rolling front wheels, and 0.06 of 0.1 rad of front slip leave 0.8.
+        // A lateral acceleration of 3 m/s² of at most 5, without front slip, or a front slip of 0.06 rad of at most 0.1
+        // leaves sqrt(1 - 0.6²) = 0.8.
         let rolling = (car.l_f * 0.3 / 10.0).atan();
         assert!(is(bounds(0.3, rolling, 1.0), [0.8; 2]));
         assert!(is(bounds(0.0, -0.06, 1.0), [0.8; 2]));

@@ -37,7 +37,8 @@ use range::check;
 #[serde(default, deny_unknown_fields, expecting = "a table")]
 pub struct Settings {
     /// Horizon `T`: number of inputs in a plan, 1 to 200; requests hold at most 128. Default: 0.8 s, which are 40 periods of
-    /// 0.02 s, but at most 100 periods.
+    /// 0.02 s, and longer for a library with a member of a friction below 0.5, but at most 120 periods
+    /// ([`Settings::horizon`](Self::horizon())).
     ///
     /// Measured near the friction limit with measurement noise. With the same data, a period of 0.02 s halves the lateral error
     /// of a period of 0.05 s. At 0.02 s, 30 inputs lose the car more often than 40, and 50 are not better. At 0.05 s, 40 inputs

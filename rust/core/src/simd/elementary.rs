@@ -19,7 +19,7 @@ pub(crate) fn atan<S: Simd>(simd: S, x: S::V) -> S::V {
     let [zero, one] = [0.0, 1.0].map(|c| simd.splat(c));
     let size = simd.max(x, simd.sub(zero, x));
     let [small, large] = ENDS.map(|end| simd.splat(end));
-    // The parts of the smallest arguments, replaced by those of the middle ones, replaced by those of the largest.
+    // In each lane `high` for sizes above the second one of `ENDS`, `middle` above the first one, and `low` otherwise.
     let pick = |low, middle, high| {
         let middle = simd.where_greater(size, small, middle, low);
         simd.where_greater(size, large, high, middle)

@@ -5,6 +5,7 @@
 
 mod delay;
 mod deviations;
+mod planning;
 mod request;
 mod validate;
 mod workspace;
@@ -13,37 +14,24 @@ pub use request::{StepReply, StepRequest};
 pub use validate::StepError;
 pub use workspace::{SetupError, Workspace};
 
-use delay::Delay;
+use planning::{ensembles, plan, unscaled};
 use validate::ValidRequest;
 
 use egp_parameters::STATE_IN_MESSAGES;
 
 use crate::executor::{Executor, for_each};
-use crate::linearisation::Domain;
-use crate::ocp::{self, Road, Setup};
-use crate::preview::StageWeights;
-use crate::solver::{Status, solve_with_fallback};
-use crate::trajectory::Guess;
-use crate::vehicle::{
-    DELTA_DOT, FORCE, Frame, MIN_SLIP_SPEED, P_X, P_Y, PSI, TyreLimits, V_X, wrap,
-};
+use crate::solver::Status;
+use crate::vehicle::{Frame, MIN_SLIP_SPEED, P_X, P_Y, PSI, V_X, wrap};
 use crate::weights::blend_error;
-use crate::{Ensemble, GpInput, GpOutput, Input, Library, Member, NY, NZ, Settings, State};
+use crate::{GpInput, GpOutput, Library, Member, NY, NZ, Settings, State};
 
 /// Speed, m/s, below which a vehicle counts as standing.
 const STANDING: f64 = 0.5;
 /// Force of the drive per mass, m/s², from which on a slow vehicle is about to move: the most slippery surface transmits it.
 const LEAST_DRIVE: f64 = 1.0;
-/// Standard deviations between the mean and the 95 % quantile of a normal distribution.
-const UPPER_QUANTILE: f64 = 1.645;
 /// Largest error of a model's slip angle, rad, with which a transition is used. Up to this slip angle tyres transmit nearly the
 /// same force on all surfaces.
 const LARGEST_SLIP_ERROR: f64 = 0.02;
-/// Difference between a guessed and a predicted state, m/s and rad/s, from which on a plan is repeated while the window fills.
-/// With the weights of the true surface it was below 0.02 in all steps of laps at 90 % of the grip on dry tarmac and on ice.
-const LARGEST_DEFECT: f64 = 0.1;
-/// Largest number of repetitions of a plan. Five in place of three bring no more.
-const MOST_REPETITIONS: usize = 3;
 
 /// One control step: weights, eq. (6); residual; linearisation, eqs. (15)-(17); optimal control problem, eq. (18).
 ///
@@ -73,7 +61,7 @@ pub fn step(
     reply.dropped_mass = ws
         .stages
         .fill(&reply.weights, rows.road_friction, &settings.weights);
-    plan(library, settings, &rows, &disturbance, ws, reply);
+    plan(library, settings, &rows, used, &disturbance, ws, reply);
     if reply.status == Status::Solved && !fits_into_messages(&frame, &ws.solution.x) {
         reply.status = Status::CheckFailed;
     }
@@ -88,167 +76,6 @@ pub fn step(
         }
     }
     Ok(())
-}
-
-/// The ensemble of each stage.
-fn ensembles<'a>(library: &'a Library, stages: &'a StageWeights) -> impl Fn(usize) -> Ensemble<'a> {
-    |t: usize| Ensemble::of(library, stages.stage(t))
-}
-
-/// Plans about the guess. While the window of the weights fills, it plans again, at most [`MOST_REPETITIONS`] times, about the
-/// plan that it found, as long as the trajectory of the last linearisation contradicts the ensemble by more than
-/// [`LARGEST_DEFECT`].
-///
-/// After a cold start the weights change within a few periods from one friction for all members to that of the road. The
-/// previous plan then belongs to another vehicle, and one QP about it is no step towards a plan that the vehicle can follow.
-fn plan(
-    library: &Library,
-    settings: &Settings,
-    rows: &ValidRequest,
-    disturbance: &GpOutput,
-    ws: &mut Workspace,
-    reply: &mut StepReply,
-) {
-    let transitions = rows.history_z.len();
-    let fills = transitions > 0 && transitions < settings.weights.window(library.dt());
-    for _ in 0..=MOST_REPETITIONS {
-        let x0 = linearise(library, settings, rows, disturbance, ws);
-        assemble(library, settings, rows, &x0, ws);
-        solve(settings, ws, reply);
-        let again = fills && ws.dynamics.defect > LARGEST_DEFECT;
-        if !again || reply.status != Status::Solved {
-            break;
-        }
-        let mass = ws.vehicle.mass;
-        let inputs = ws.solution.u.iter().map(|u| unscaled(u, mass));
-        ws.guess.take(&ws.solution.x, inputs);
-    }
-}
-
-/// Linearises the ensemble along the operating trajectory, and returns the state at which it starts, in the vehicle's frame.
-fn linearise(
-    library: &Library,
-    settings: &Settings,
-    rows: &ValidRequest,
-    disturbance: &GpOutput,
-    ws: &mut Workspace,
-) -> State {
-    let ensembles = ensembles(library, &ws.stages);
-    let present = |delay: Delay| delay.present(rows, &ensembles(0), disturbance);
-    let x0 = local_state(&ws.delay.map_or(rows.x, present));
-    let operating = &settings.operating;
-    let domain = Domain::new(operating, settings.soft.v_x_max, ws.vehicle.steering_angle);
-    ws.dynamics.along(
-        |t| (ensembles(t), ws.offsets[t]),
-        library.dt(),
-        &x0,
-        &ws.guess,
-        operating,
-        &domain,
-    );
-    x0
-}
-
-/// Writes the QP of eq. (18), with bounds that are tightened by the uncertainty of the plan if the settings ask for it.
-fn assemble(
-    library: &Library,
-    settings: &Settings,
-    rows: &ValidRequest,
-    x0: &State,
-    ws: &mut Workspace,
-) {
-    blend_tyre_limits(
-        &ws.tyres,
-        &ws.stages,
-        rows.road_friction,
-        &mut ws.stage_tyres,
-    );
-    let road = Road {
-        x: &ws.reference,
-        widths: rows.widths,
-        tyres: &ws.stage_tyres,
-    };
-    let setup = Setup {
-        settings,
-        vehicle: &ws.vehicle,
-        dt: library.dt(),
-    };
-    ocp::assemble(
-        &setup,
-        x0,
-        &rows.u_prev,
-        &ws.dynamics,
-        &ws.guess,
-        &road,
-        &mut ws.qp,
-    );
-    if settings.soft.caution > 0.0 {
-        let operating = ws.dynamics.x.iter().zip(&ws.guess.u);
-        let uncertainties = ws.deviations.uncertainties(
-            library.members(),
-            &ws.stages,
-            ensembles(library, &ws.stages),
-            rows.road_friction,
-            operating.map(|(x, u)| (*x, *u)),
-            &*ws.executor,
-        );
-        ws.caution
-            .tighten(settings.soft.caution, uncertainties, &mut ws.qp);
-    }
-}
-
-/// Solves the QP, and writes how that ended.
-fn solve(settings: &Settings, ws: &mut Workspace, reply: &mut StepReply) {
-    warm_start(&ws.guess, ws.vehicle.mass, &mut ws.warm);
-    ws.solver_name = solve_with_fallback(
-        &mut ws.solvers,
-        &ws.qp,
-        &ws.warm,
-        settings.solver.kkt_tolerance,
-        &mut ws.solution,
-    );
-    reply.status = ws.solution.status;
-    reply.iterations = ws.solution.iterations;
-    reply.kkt_residual = ws.solution.kkt.worst();
-}
-
-/// The tyre limits of each stage: those of the members, blended with the weights of the stage. Where the road is expected
-/// to have less friction than all members, the largest forces are smaller.
-fn blend_tyre_limits(
-    members: &[TyreLimits],
-    stages: &StageWeights,
-    road: &[[f64; 2]],
-    blends: &mut [TyreLimits],
-) {
-    for (t, blend) in blends.iter_mut().enumerate() {
-        *blend = TyreLimits {
-            braking: 1.0,
-            ..TyreLimits::default()
-        };
-        for (limits, weight) in members.iter().zip(stages.stage(t)) {
-            blend.add(*weight, limits);
-        }
-        if let Some([friction, std]) = road.get(t + 1) {
-            let most = friction + UPPER_QUANTILE * std;
-            *blend = blend.on_less_friction(most / stages.least_friction());
-        }
-    }
-}
-
-/// The inputs of the previous plan as the solver scales them; none without a plan.
-fn warm_start(guess: &Guess, mass: f64, warm: &mut Vec<Input>) {
-    warm.clear();
-    if !guess.x.is_empty() {
-        let scaled = |u: &Input| Input::new(u[FORCE] / mass, u[DELTA_DOT]);
-        warm.extend(guess.u.iter().map(scaled));
-    }
-}
-
-/// A state at the measured pose in the vehicle's frame.
-fn local_state(x: &State) -> State {
-    let mut local = *x;
-    (local[P_X], local[P_Y], local[PSI]) = (0.0, 0.0, 0.0);
-    local
 }
 
 /// Writes the reference in the vehicle's frame. Its yaw starts within half a turn of the vehicle's and is continuous.
@@ -266,10 +93,10 @@ fn localise_reference(frame: &Frame, rows: &ValidRequest, out: &mut [State]) {
 
 /// Writes the members' predictions of the window's transitions into the reply: those that the request lacks are computed.
 ///
-/// With a measurement delay the inputs of the oldest transitions are not in the request, and their predictions may belong to
-/// the inputs of another row: the request does not tell whether their inputs were known when they were predicted. They are
-/// in the reply because it has one row for each transition, and no estimate uses them. A transition that is known was also
-/// known when it was predicted: the history then had the same older rows, or was full.
+/// With a measurement delay the inputs that caused the oldest transitions are not in the request, so that their predictions
+/// may have been computed with the inputs of another row. The reply contains them because it has one row for each transition,
+/// but no estimate uses them. If the inputs of a transition are in this request, they were also in the request for which the
+/// transition was predicted, because that history had the same older rows or the full length of the window.
 fn predict_history(
     members: &[Member],
     rows: &ValidRequest,
@@ -291,10 +118,10 @@ fn predict_history(
     reply.history_f.extend_from_slice(rows.history_f);
 }
 
-/// Estimates weights and friction from the newest transitions of the window, and returns how many were used: those whose
-/// inputs are in the request, without the last one that [`is_outside_model`] and all before it. Weights change only if the
-/// transitions distinguish the members. Without excitation the members' predictions differ by less than the noise, and the
-/// weights would follow the noise.
+/// Estimates weights and friction, and returns the number of transitions that were used. These are the transitions whose
+/// inputs are in the request and that are newer than the newest one for which [`is_outside_model`] is true. Weights change
+/// only if the transitions distinguish the members. Without excitation the members' predictions differ by less than the
+/// noise, and the weights would follow the noise.
 fn estimate_weights(
     library: &Library,
     settings: &Settings,
@@ -327,7 +154,8 @@ fn estimate_weights(
         &ws.previous,
         &mut reply.weights,
     );
-    ws.estimator.select(ws.member_penalty, &mut reply.weights);
+    let penalty = settings.weights.member_penalty(library.least_friction());
+    ws.estimator.select(penalty, &mut reply.weights);
     reply.friction = ws
         .friction
         .estimate(&history_z[..used], predictions, measured);
@@ -392,9 +220,4 @@ fn write_plan(frame: &Frame, rows: &ValidRequest, ws: &Workspace, reply: &mut St
         let u = unscaled(u, ws.vehicle.mass);
         reply.plan_u.extend_from_slice(u.as_slice());
     }
-}
-
-/// An input of the solver in newtons.
-fn unscaled(u: &Input, mass: f64) -> Input {
-    Input::new(u[FORCE] * mass, u[DELTA_DOT])
 }

@@ -78,8 +78,6 @@ pub struct Workspace {
     pub(super) aligned: Vec<[f64; NZ]>,
     pub(super) noise: WindowNoise,
     pub(super) estimator: WeightEstimator,
-    /// What a member with a positive weight costs, nats.
-    pub(super) member_penalty: f64,
     pub(super) friction: FrictionEstimator,
     /// The filter of the residual, if the settings ask for one.
     pub(super) residual: Option<ResidualFilter>,
@@ -99,6 +97,8 @@ pub struct Workspace {
     pub(super) warm: Vec<Input>,
     pub(super) solver_name: &'static str,
     pub(super) solution: OcpSolution,
+    /// The plan about which the last repetition of a step was linearised.
+    pub(super) last_solved: OcpSolution,
     pub(super) deviations: Deviations,
     pub(super) caution: Caution,
     pub(super) executor: Arc<dyn Executor>,
@@ -139,7 +139,6 @@ impl Workspace {
             aligned: Vec::with_capacity(settings.weights.window(dt)),
             noise: WindowNoise::of(library, &settings.weights),
             estimator: WeightEstimator::new(n, settings.weights.window(dt)),
-            member_penalty: settings.weights.member_penalty(library.least_friction()),
             friction: FrictionEstimator::new(library, &settings.weights),
             residual: ResidualFilter::new(&settings.residual, dt, settings.weights.window(dt)),
             offsets: vec![GpOutput::zeros(); horizon],
@@ -154,6 +153,7 @@ impl Workspace {
             warm: Vec::with_capacity(horizon),
             solver_name: "",
             solution: OcpSolution::new(horizon),
+            last_solved: OcpSolution::new(horizon),
             deviations: Deviations::new(horizon),
             caution: Caution::new(horizon),
             executor: Arc::new(Sequential),
@@ -168,7 +168,7 @@ impl Workspace {
         self
     }
 
-    /// Name of the QP solver that the last step ran last; empty before the first step.
+    /// Name of the QP solver that ended with the last step's result; empty before the first step.
     pub fn solver_name(&self) -> &'static str {
         self.solver_name
     }

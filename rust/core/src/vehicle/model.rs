@@ -4,7 +4,7 @@ use super::{KINEMATIC_PARAMETERS, Kinematic, Resistance, SINGLE_TRACK_PARAMETERS
 use crate::{GpInput, GpJacobian, GpOutput};
 
 /// A vehicle that predicts the change of `[v_x, v_y, omega]` over one period.
-#[allow(clippy::large_enum_variant)] // few are made, and a box would be followed in each prediction
+#[allow(clippy::large_enum_variant)] // few values exist, and a `Box` would cost a pointer access in each prediction
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum VehicleModel {
     /// Tyres that slip and saturate.

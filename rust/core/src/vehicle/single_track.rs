@@ -28,7 +28,7 @@ const FRICTION_POWERS: [i32; SINGLE_TRACK_PARAMETERS] =
 /// loads per mass `n`, which braking moves to the front:
 ///
 /// ```text
-/// a_x = a / (1 + (a / (g D_x))⁴)^¼                          what the tyres let through
+/// a_x = a / (1 + (a / (g D_x))⁴)^¼                          what the tyres transmit
 /// f   = n D sin(C atan(B alpha)) / sqrt(1 + (e a / g)⁴)     lateral, less under braking and drive
 /// dv_x/dt   = a_x - f_f sin(delta) + v_y omega - r(v_x)
 /// dv_y/dt   = f_f cos(delta) + f_r - v_x omega

@@ -49,12 +49,13 @@ impl TyreLimits {
         self.lateral += weight * other.lateral;
     }
 
-    /// The share of `drive` and `brake` that tyres can transmit which already transmit a lateral force: that of the friction
-    /// ellipse, but at least [`ROLLING`], with which wheels go on rolling. From the friction [`SLIPPERY`] on it is 1.
+    /// The share of `drive` and `brake` that is left while the tyres also transmit a lateral force.
     ///
-    /// Of the lateral force they use the larger one of two shares: that of the lateral acceleration in the largest one of a
-    /// steady bend, and that of the front slip angle in the one at the peak. The slip tells front tyres at their limit whose
-    /// vehicle does not turn, and the acceleration tells rear tyres at theirs.
+    /// It is that of the friction ellipse, `sqrt(1 - used²)`, but at least [`ROLLING`], with which wheels go on rolling; from
+    /// the friction [`SLIPPERY`] on it is 1. `used` is the larger one of two ratios: the lateral acceleration `lateral`, m/s²,
+    /// over the largest one of a steady bend, and `front_slip`, rad, over the slip angle at the peak of the front force. The
+    /// second ratio also detects front tyres that slide while the vehicle does not turn, and the first one detects rear tyres
+    /// at their limit.
     pub(crate) fn share_beside(&self, lateral: f64, front_slip: f64) -> f64 {
         if self.friction >= SLIPPERY {
             return 1.0;

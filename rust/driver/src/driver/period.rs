@@ -11,8 +11,8 @@ use crate::action::{Action, Query, QueryId};
 use crate::situation::Lost;
 use crate::step::{Outcome, Step};
 
-/// How long a transport listens for an answer after its deadline, in control periods. The plan of a later answer has
-/// ended.
+/// Time, in control periods, for which a transport waits for an answer. A plan that arrives later has few inputs left, or
+/// none.
 const LISTEN_PERIODS: u32 = 20;
 /// Requests whose late answers are still awaited, at most.
 const MAX_PENDING: usize = 64;
@@ -373,14 +373,18 @@ impl Driver {
         }
     }
 
-    /// Whether a replica with this description can be asked for steps. Only the library named first is that of the
-    /// description's vehicle.
+    /// Whether a replica with this description can be asked for steps. The vehicle in a description belongs to the library
+    /// that `ready.library` names, and so do horizon and history. If the library that is used is another one, they are not
+    /// compared.
     fn suits(&self, ready: &Ready) -> bool {
-        let planned = (ready.vehicle.as_ref()).filter(|_| ready.library == self.served.library);
-        let limits = &self.config.limits;
+        let (served, limits) = (&self.served, &self.config.limits);
+        let vehicle_fits = |ready: &Ready| {
+            (ready.vehicle.as_ref()).is_none_or(|planned| limits.check_within(planned).is_ok())
+        };
+        let lengths = ready.horizon == served.horizon && ready.history >= served.history;
         ready.ready
-            && ready.serves(&self.served.library)
-            && planned.is_none_or(|planned| limits.check_within(planned).is_ok())
+            && ready.serves(&served.library)
+            && (ready.library != served.library || lengths && vehicle_fits(ready))
     }
 
     /// Whether a live replica that is not known to fit may still answer its probe.

@@ -74,7 +74,19 @@ fn a_replica_that_plans_for_another_vehicle_is_not_asked() {
         vehicle: None,
         ..served()
     };
+    // Horizon and history belong to the settings of a replica, and it answers requests of other lengths with an error.
+    let with = |horizon, history| Ready {
+        horizon,
+        history,
+        ..served()
+    };
+    let Ready {
+        horizon, history, ..
+    } = served();
     for (description, fits) in [
+        (with(horizon - 1, history).encode(), false),
+        (with(horizon, history - 1).encode(), false),
+        (with(horizon, history + 1).encode(), true),
         (served().encode(), true),
         (older.encode(), true),
         (other.encode(), true),

@@ -239,7 +239,8 @@ fn the_last_answer_is_the_outcome_when_nobody_is_left() {
         (ended.name(), ended.detail()),
         (
             "unreachable",
-            "no replica of the service can be reached, or its access control does not admit this vehicle's certificate"
+            "no replica of the service can be reached that fits: none announces itself, or those that do shut down, serve \
+             another library or vehicle or have another horizon, or access control does not admit this vehicle's certificate"
                 .to_owned()
         )
     );

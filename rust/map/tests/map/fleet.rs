@@ -292,3 +292,19 @@ fn tiles_read_back_and_other_bytes_are_errors() {
     assert_eq!(message, "expected a tile in 0..1 of this road, got 1");
     assert!(belief().tile(7).is_err());
 }
+
+#[test]
+fn what_is_measured_where_nothing_was_reported_does_not_change_the_trust() {
+    const REPORTED: usize = 10;
+    for mu in [0.2, 0.3, 0.5, 0.9, 1.1] {
+        let mut belief = RoadBelief::new(20.0 * LENGTH, true).unwrap();
+        belief.report(REPORTED, &found(0.8)).unwrap();
+        let before = belief.trust().unwrap();
+        for period in 0..300 {
+            let s = 200.0 + SPEED * PERIOD * f64::from(period);
+            belief.update(s, Some(&evidence(mu))).unwrap();
+        }
+        let after = belief.trust().unwrap();
+        assert!((after - before).abs() < 1e-9, "{mu}: {before} {after}");
+    }
+}

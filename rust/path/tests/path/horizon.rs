@@ -5,7 +5,7 @@
 use std::f64::consts::{PI, TAU};
 
 use egp_parameters::{STANDARD_GRAVITY, VehicleParameters};
-use egp_path::tracks::RoundedRectangle;
+use egp_path::tracks::{Corner, RoundedRectangle};
 use egp_path::{
     HorizonRows, Path, PathError, Projection, ReferenceStart, SpeedLimits, SpeedPlanner,
     SpeedProfile, Zone, horizon_reference,
@@ -282,4 +282,36 @@ fn a_plan_with_end_speed_zero_comes_to_rest_at_the_end() {
     );
     assert!((profile.station(last + 1e3) - end).abs() < 1e-9);
     assert_eq!(profile.lap_time(), f64::INFINITY);
+}
+
+/// A plan that is longer than the lap: the speeds of all stages are those of the distances between them.
+#[test]
+fn speeds_and_positions_agree_over_more_than_a_lap() {
+    let path = RoundedRectangle {
+        length: 24.0,
+        width: 16.0,
+        corner: Corner {
+            radius: 5.0,
+            transition: 3.0,
+        },
+        ..RoundedRectangle::default()
+    };
+    let path = path.path().unwrap();
+    let mut planner = SpeedPlanner::new(&path, &car()).unwrap();
+    let friction = vec![0.8; planner.places()];
+    for start in [0.0, 0.6 * path.length()] {
+        let from = path.sample(start);
+        let profile = planner.plan(start, Some(0.5), &friction).unwrap();
+        let rows = follow(&path, profile, &at([from.x, from.y], from.yaw), 400).0;
+        let driven = |pair: &[[f64; 4]]| (pair[1][0] - pair[0][0]).hypot(pair[1][1] - pair[0][1]);
+        assert!(rows.windows(2).map(driven).sum::<f64>() > path.length());
+        for (stage, pair) in rows.windows(2).enumerate() {
+            let mean = 0.5 * (pair[0][2] + pair[1][2]);
+            let speed = driven(pair) / DT;
+            assert!(
+                (speed - mean).abs() < 0.02 * mean + 0.1,
+                "{start} {stage}: {speed} {mean}"
+            );
+        }
+    }
 }

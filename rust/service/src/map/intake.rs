@@ -7,7 +7,8 @@ use super::metrics::Metrics;
 use super::turns::{Refused, Turns};
 use crate::query::{Query, check_attachment, no_such_key};
 
-/// Queries of one vehicle that may wait. Vehicles are answered in turn, so that another vehicle's query waits for one of them.
+/// Queries of one vehicle that may wait. Vehicles are answered in turn, so that a query of another vehicle waits for
+/// at most one of them.
 const EACH: usize = 64;
 /// Queries of all vehicles that may wait.
 const ALL: usize = 1024;
@@ -87,7 +88,7 @@ impl<Q: Query> Intake<Q> {
                 (job, Code::Overloaded, detail)
             }
             Err(Refused::Closed(job)) => {
-                let detail = "this map service is going away";
+                let detail = "this map service is shutting down";
                 (job, Code::Draining, detail.to_owned())
             }
         };
