@@ -70,6 +70,7 @@ ONE_FILE = {
     "rust/session/src": ["zenoh"],
     "rust/service/src": ["zenoh", "hyper"],
     "clients/vehicle/src": ["zenoh"],
+    "clients/load/src": ["zenoh"],
 }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import socket
 import tomllib
@@ -287,6 +288,10 @@ def test_files_of_another_kind_are_named(tmp_path: Path) -> None:
         EgpError, match=r"log.csv: expected a text in UTF-8, got .*; save the table in this"
     ):
         Road.from_csv(log)
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with pytest.raises(EgpError, match=r"pipe: expected a regular file, got a folder, a pipe"):
+        Road.from_csv(pipe)
 
 
 def test_serve_has_the_options_of_the_server_in_the_same_words() -> None:

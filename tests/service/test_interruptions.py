@@ -102,24 +102,37 @@ def test_a_controller_leaves_no_command_of_an_interrupted_step_behind() -> None:
         assert len(decode_request(step(controller).request).history_z) == 1
 
 
-def test_a_program_that_is_held_up_after_an_answer_has_come_does_not_drive_its_plan(
-    client: VehicleClient, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def hold_up(
+    client: VehicleClient, monkeypatch: pytest.MonkeyPatch, seconds: float, *, answered: bool
+) -> list[float]:
+    """Hold the next step up once, for so many seconds, which are in the list afterwards.
+
+    If `answered`, the answer has come and is the next event. Otherwise the delay begins before the
+    answer comes, and another event is found before it.
+    """
     assert step(client).mode == "normal"
     time.sleep(0.5)  # the end of the first question comes, which the next step sees before its own
     network = client._network  # noqa: SLF001
     come = network.next
     slept: list[float] = []
 
-    def held_up(patience: float) -> Callable[[Driver], None] | None:
-        """Be held up for longer than a tail once the answer has come."""
-        event = come(patience)
-        if event is not None and patience > 0.0 and not slept:
-            slept.append(1.5)
-            time.sleep(1.5)
+    def next_event(patience: float) -> Callable[[Driver], None] | None:
+        if slept or patience <= 0.0:
+            return come(patience)
+        event = come(patience) if answered else lambda _: None
+        if event is not None:
+            slept.append(seconds)
+            time.sleep(seconds)
         return event
 
-    monkeypatch.setattr(network, "next", held_up)
+    monkeypatch.setattr(network, "next", next_event)
+    return slept
+
+
+def test_a_program_that_is_held_up_after_an_answer_has_come_does_not_drive_its_plan(
+    client: VehicleClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    slept = hold_up(client, monkeypatch, 1.5, answered=True)  # for longer than a tail
     late = step(client, deadline=0.5)
     assert slept
     assert (late.mode, late.status) == ("stop", "solved")
@@ -129,21 +142,7 @@ def test_a_program_that_is_held_up_after_an_answer_has_come_does_not_drive_its_p
 def test_an_answer_that_came_in_time_counts_although_another_event_waits_before_it(
     client: VehicleClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert step(client).mode == "normal"
-    time.sleep(0.5)  # the end of the first question comes, which the next step sees before its own
-    network = client._network  # noqa: SLF001
-    come = network.next
-    slept: list[float] = []
-
-    def held_up(patience: float) -> Callable[[Driver], None] | None:
-        """Be held up until the deadline has passed, and find another event before the answer."""
-        if patience > 0.0 and not slept:
-            slept.append(0.5)
-            time.sleep(0.5)
-            return lambda _: None
-        return come(patience)
-
-    monkeypatch.setattr(network, "next", held_up)
+    slept = hold_up(client, monkeypatch, 0.5, answered=False)
     late = step(client, deadline=0.3)
     assert slept
     assert late.status == "solved"

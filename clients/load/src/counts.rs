@@ -110,17 +110,21 @@ mod tests {
 
     use super::*;
 
-    /// What is counted after error replies with these codes, and a reply behind them if there is one.
-    fn counted(codes: &[Code], reply: Option<&Reply>) -> Vec<(String, u64)> {
-        let counts = Arc::new(Mutex::new(Counts::default()));
-        let sent = Sent {
+    fn sent(counts: &Arc<Mutex<Counts>>) -> Sent {
+        Sent {
             due: Instant::now(),
             vehicle: 0,
             budget: Duration::from_secs(3600),
             counts: counts.clone(),
             answered: AtomicBool::new(false),
             copied: OnceLock::new(),
-        };
+        }
+    }
+
+    /// What is counted after error replies with these codes, and a reply behind them if there is one.
+    fn counted(codes: &[Code], reply: Option<&Reply>) -> Vec<(String, u64)> {
+        let counts = Arc::new(Mutex::new(Counts::default()));
+        let sent = sent(&counts);
         for code in codes {
             sent.refused(&WireError::permanent(*code, "").encode());
         }
@@ -132,6 +136,14 @@ mod tests {
         let latencies = u64::from(!counts.outcomes.contains_key("no answer"));
         assert_eq!(counts.latency.len(), latencies);
         counts.outcomes.clone().into_iter().collect()
+    }
+
+    #[test]
+    fn a_timeout_of_zenoh_has_no_latency() {
+        let counts = Arc::new(Mutex::new(Counts::default()));
+        sent(&counts).refused(b"Timeout");
+        let counts = counts.lock().unwrap();
+        assert_eq!((counts.outcomes["timeout"], counts.latency.len()), (1, 0));
     }
 
     #[test]

@@ -18,7 +18,7 @@ use crate::{Arguments, Failure, recording};
 
 /// How long a late answer is waited for.
 const PATIENCE: Duration = Duration::from_secs(1);
-/// Time for which the same replicas have to announce themselves.
+/// Time for which the same replicas must be found.
 const SAME: Duration = Duration::from_secs(1);
 
 /// The vehicles that replay one recording.
@@ -170,8 +170,8 @@ fn session(arguments: &Arguments, index: usize) -> Result<Session, Failure> {
     Ok(open_session(&config)?)
 }
 
-/// The replicas that announce themselves within ten seconds, and the same ones in all looks of a second: links to further
-/// ones may take longer.
+/// The replicas that announce themselves, once the same ones were found for a second, or after ten seconds: links to some of
+/// them may be slower than to others.
 fn live(session: &Session) -> Result<Vec<Name>, Failure> {
     let end = Instant::now() + Duration::from_secs(10);
     let (mut last, mut since) = (Vec::new(), Instant::now());

@@ -15,8 +15,8 @@ class OcpWeights:
     and inputs have the units of `solve_ocp`.
 
     Raises:
-        InvalidArgumentError: for a wrong shape, numbers that are not finite, and unless r is
-            positive and r_d at least 0.
+        InvalidArgumentError: unless r and r_d have the shape (2,), r is positive and r_d at least
+            0, all finite. `solve_ocp` checks the rest.
 
     """
 
@@ -34,8 +34,8 @@ class OcpBounds:
     all stages. States and inputs have the units of `solve_ocp`.
 
     Raises:
-        InvalidArgumentError: for a wrong shape, numbers that are not finite, more than five soft
-            rows, and a penalty that is not positive.
+        InvalidArgumentError: unless penalty has at most five rows, all finite and positive.
+            `solve_ocp` checks the rest.
 
     """
 
@@ -99,9 +99,9 @@ def solve_ocp(
 
     The dynamics are x_{t+1} = A_t x_t + B_t u_t + c_t, t = 0..T-1, with states [p_x, p_y, v_x, psi,
     v_y, omega, delta] in SI units and rad and inputs [acceleration, steering rate] in m/s² and
-    rad/s: A (T, 7, 7), B (T, 7, 2), c (T, 7),
-    measured state x0 (7,), input now applied u_prev (2,), and reference (T, 7) of x_1..x_T. Arrays
-    of problem, weights and bounds without their axis T hold for all stages, except A.
+    rad/s: A (T, 7, 7), B (T, 7, 2), c (T, 7), measured state x0 (7,), input now applied u_prev
+    (2,), and reference (T, 7) of x_1..x_T. Arrays of problem, weights and bounds without their axis
+    T hold for all stages, except A.
 
     Entries may be different from zero where the vehicle's equations have them, eq. (11) with
     positions along the yaw of any moment of the period: position rows of A at themselves, v_x, psi,

@@ -124,8 +124,8 @@ class Path:
 
         Raises:
             InvalidArgumentError: unless `scale` is positive.
-            EgpError: if the file cannot be read or has another format, or if `from_points`
-                does not accept its points.
+            EgpError: if the file cannot be read, is larger than 16 MiB or has another format, or
+                if `from_points` does not accept its points.
 
         """
     def with_friction(

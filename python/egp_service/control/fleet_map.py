@@ -84,10 +84,9 @@ class FleetMap:
         """Connect to the map service at `endpoint`, such as `tcp/127.0.0.1:7448`.
 
         All vehicles of a fleet name a road alike; `vehicle` must be unique in the fleet.
-        `lifetime`, s, is that of the service: reports age while it is silent. `timeout`, s, is
-        that of the
-        connection and of the last evidence on leaving. `zenoh_file` and `zenoh_config` are
-        as for `VehicleClient.connect`.
+        `lifetime`, s, is that of the service: reports age while it is silent. `timeout`, s, limits
+        the wait for the connection and, on leaving, for the last evidence to be sent. `zenoh_file`
+        and `zenoh_config` are as for `VehicleClient.connect`.
 
         Raises:
             InvalidArgumentError: for names, a configuration or times that cannot be used.

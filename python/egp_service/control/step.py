@@ -215,7 +215,7 @@ class StepController(ABC):
 
     def __init__(self) -> None:
         """Make what all controllers have."""
-        # It is re-entrant because a signal handler may call a method inside another one.
+        # The lock is re-entrant: a signal handler may call a method while another one runs.
         self._lock = threading.RLock()
         self._stepping = self._to_reset = self._closed = False
 

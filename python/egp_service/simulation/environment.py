@@ -100,8 +100,8 @@ class TrackEnvironment(gym.Env[Observation, Observation]):
         """Drive one period with the action (2,), which is limited to [-1, 1]².
 
         Returns the observation (11,), the reward, which is the progress along the path in m,
-        whether the episode ended on the road's end or beside it, whether it took too long, and a
-        dictionary of information.
+        whether the episode ended because the vehicle completed its laps, left the road or spun,
+        whether it ended because it took too long, and a dictionary of information.
 
         Raises:
             InvalidArgumentError: unless the action has the shape (2,) and is finite; the period is

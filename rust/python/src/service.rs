@@ -25,8 +25,8 @@ use crate::text::list;
 /// The control step of the service in this process: the same request gives the same bytes of a reply.
 ///
 /// `settings_toml` holds the settings of the control step; fields left out keep their default, which is 0.5 s for the
-/// window and 0.8 s for the horizon, longer with a member of a friction below 0.5, and at most 120 periods. With more than one of `cores` (no more than the machine
-/// has), members are evaluated in parallel where that takes half a millisecond or more: standard deviations of four
+/// window and 0.8 s for the horizon, longer with a member of a friction below 0.5, and at most 120 periods. With more than
+/// one of `cores` (no more than the machine has), members are evaluated in parallel where that takes half a millisecond or more: standard deviations of four
 /// active members of 700 points, for example, but not of two. The bytes of a reply do not depend on `cores`. An engine
 /// with several cores does not work in a forked process, which does not inherit its threads. Raises `InvalidArgumentError` for
 /// settings out of range, and `EgpError` for a library that cannot be read or that the settings do not fit.

@@ -163,16 +163,14 @@ impl<Q: Query> Shared<Q> {
             let detail = "a newer request of this vehicle took the place of this one";
             self.refuse_job(&old, &WireError::permanent(Code::Superseded, detail));
         }
-        if let Some(other) = pushed.displaced {
-            self.refuse_job(&other, &self.too_late(other.budget()));
-        }
-        match pushed.queued {
-            Ok(()) => {}
-            Err(Refused::Full(job)) => self.refuse_job(&job, &self.overloaded()),
-            Err(Refused::Late(job)) => self.refuse_job(&job, &self.too_late(job.budget())),
-            Err(Refused::Closed(job)) => {
-                let detail = "this replica is shutting down; ask another one";
-                self.refuse_job(&job, &WireError::retryable(Code::Draining, 0, detail));
+        for refused in pushed.displaced.into_iter().chain(pushed.queued.err()) {
+            match refused {
+                Refused::Full(job) => self.refuse_job(&job, &self.overloaded()),
+                Refused::Late(job) => self.refuse_job(&job, &self.too_late(job.budget())),
+                Refused::Closed(job) => {
+                    let detail = "this replica is shutting down; ask another one";
+                    self.refuse_job(&job, &WireError::retryable(Code::Draining, 0, detail));
+                }
             }
         }
     }

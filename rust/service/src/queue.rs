@@ -3,8 +3,8 @@
 //! A vehicle that asks again before it was served no longer needs the older answer, so its newest request takes the
 //! slot; a vehicle that sends too many requests displaces only its own. Serving the earliest deadline first keeps late
 //! requests from delaying the others. If not all can be served, or if the queue is full, vehicles take turns: the request of
-//! a vehicle that was served longer ago takes the place of one whose vehicle was served last. A vehicle that asks again at once,
-//! with earlier deadlines than all others, would always be first: `Turn::ordering_deadline` orders the queue therefore.
+//! a vehicle that was served longer ago takes the place of one whose vehicle was served last. The order is that of
+//! `Turn::ordering_deadline`, because a vehicle that always asks again at once would otherwise always be first.
 
 use std::collections::{BTreeMap, HashMap};
 use std::time::Instant;
@@ -61,8 +61,8 @@ pub(crate) enum Refused<T> {
 pub(crate) struct Pushed<T> {
     /// The same vehicle's older item, which is removed even if the new item is not queued.
     pub(crate) superseded: Option<T>,
-    /// The item of another vehicle, which had been served after this one, that gave up its place.
-    pub(crate) displaced: Option<T>,
+    /// The item of another vehicle, which had been served after this one, that gave up its place, and why.
+    pub(crate) displaced: Option<Refused<T>>,
     /// Whether the new item waits now.
     pub(crate) queued: Result<(), Refused<T>>,
 }
@@ -110,16 +110,17 @@ impl<T> Queue<T> {
         } else {
             let full = waiting.slots.len() >= self.capacity;
             let late = !in_time(ahead);
+            let reason = if full { Refused::Full } else { Refused::Late };
             if full || late {
                 // Only a place before this one makes a late request earlier.
                 displaced = waiting
                     .served_after(turn.number, late.then_some(place))
                     .filter(|_| !late || in_time(ahead - 1))
-                    .and_then(|other| waiting.remove(other));
+                    .and_then(|other| waiting.remove(other))
+                    .map(reason);
             }
             if (full || late) && displaced.is_none() {
-                let refused = if full { Refused::Full } else { Refused::Late };
-                Err(refused(item))
+                Err(reason(item))
             } else {
                 waiting.tickets += 1;
                 waiting.slots.insert(vehicle.clone(), place);
@@ -190,6 +191,7 @@ mod tests {
     use std::cell::Cell;
     use std::time::Duration;
 
+    use super::Refused::{Full, Late};
     use super::*;
 
     fn at(start: Instant, ms: u64) -> Instant {
@@ -243,7 +245,7 @@ mod tests {
         let (queue, start) = (Queue::new(1), Instant::now());
         queue.push("a".to_owned(), start, 1, FITS);
         let other = queue.push("b".to_owned(), start, 2, FITS);
-        assert_eq!(other.queued, Err(Refused::Full(2)));
+        assert_eq!(other.queued, Err(Full(2)));
         assert_eq!(queue.push("a".to_owned(), start, 3, FITS).queued, Ok(()));
     }
 
@@ -259,7 +261,7 @@ mod tests {
             false
         };
         let pushed = queue.push("d".to_owned(), at(start, 30), "d", refuse);
-        assert_eq!((ahead.get(), pushed.queued), (2, Err(Refused::Late("d"))));
+        assert_eq!((ahead.get(), pushed.queued), (2, Err(Late("d"))));
     }
 
     /// A queue that served `a`, `b` and `c` in this order.
@@ -284,13 +286,10 @@ mod tests {
         push("c", 10);
         push("b", 20);
         let pushed = push("a", 30);
-        assert_eq!((pushed.displaced, pushed.queued), (Some("c"), Ok(())));
+        assert_eq!((pushed.displaced, pushed.queued), (Some(Late("c")), Ok(())));
         // Of those that wait, none was served after it.
         let pushed = push("c", 40);
-        assert_eq!(
-            (pushed.displaced, pushed.queued),
-            (None, Err(Refused::Late("c")))
-        );
+        assert_eq!((pushed.displaced, pushed.queued), (None, Err(Late("c"))));
         assert_eq!(
             [queue.pop(), queue.pop(), queue.try_pop()],
             [Some("b"), Some("a"), None]
@@ -305,8 +304,8 @@ mod tests {
         let push = |vehicle, ms| queue.push(String::from(vehicle), at(start, ms), vehicle, FITS);
         push("b", 10);
         push("c", 30);
-        assert_eq!(push("a", 20).displaced, Some("c"));
-        assert_eq!(push("c", 5).queued, Err(Refused::Full("c")));
+        assert_eq!(push("a", 20).displaced, Some(Full("c")));
+        assert_eq!(push("c", 5).queued, Err(Full("c")));
         assert_eq!([queue.pop(), queue.pop()], [Some("b"), Some("a")]);
     }
 
@@ -316,10 +315,7 @@ mod tests {
         let queue = served(start, 8);
         queue.push("c".to_owned(), at(start, 10), "c", FITS);
         let pushed = queue.push("a".to_owned(), at(start, 20), "a", |_| false);
-        assert_eq!(
-            (pushed.displaced, pushed.queued),
-            (None, Err(Refused::Late("a")))
-        );
+        assert_eq!((pushed.displaced, pushed.queued), (None, Err(Late("a"))));
         assert_eq!(queue.pop(), Some("c"));
     }
 
@@ -333,7 +329,7 @@ mod tests {
             let pushed = queue.push(vehicle.to_owned(), at(start, 20), vehicle, alone);
             assert_eq!(
                 (pushed.displaced, pushed.queued),
-                (None, Err(Refused::Late(vehicle)))
+                (None, Err(Late(vehicle)))
             );
         }
         // It is remembered from its first request on, so its turn comes when others have been served.
@@ -342,7 +338,7 @@ mod tests {
         queue.pop();
         queue.push("b".to_owned(), at(start, 20), "b", FITS);
         let pushed = queue.push("new".to_owned(), at(start, 30), "new", alone);
-        assert_eq!((pushed.displaced, pushed.queued), (Some("b"), Ok(())));
+        assert_eq!((pushed.displaced, pushed.queued), (Some(Late("b")), Ok(())));
     }
 
     #[test]

@@ -19,7 +19,7 @@ const UPPER_QUANTILE: f64 = 1.645;
 /// plan is not repeated while the window fills. With the weights of the true surface it was below 0.02 in all steps of a lap at
 /// 90 % of the grip, on dry tarmac and on ice.
 const LARGEST_DEFECT: f64 = 0.1;
-/// Largest number of repetitions of a plan.
+/// Largest number of repetitions of a plan; five bring no more than three.
 const MOST_REPETITIONS: usize = 3;
 
 /// The ensemble of each stage.
