@@ -28,8 +28,10 @@ enum Event {
     Queued(Item, Call),
     Refused(Item),
     Popped(Item, Call),
-    /// Removed by the second item.
+    /// Removed by the second item, which is of the same vehicle.
     Superseded(Item, Item, Call),
+    /// Removed by the second item, which is of another vehicle, because the queue was full.
+    Displaced(Item, Item, Call),
 }
 
 /// Beginning and end of a call.
@@ -104,11 +106,21 @@ pub fn items_end_once_and_in_order(capacity: usize) {
 fn push(queue: &Queue<Item>, log: &Log, vehicle: &str, item: Item, capacity: usize) {
     let begin = log.tick();
     let Pushed {
-        superseded, queued, ..
+        superseded,
+        displaced,
+        queued,
     } = queue.push(vehicle.to_owned(), item.deadline, item, |_| true);
     let call = Call(begin, log.tick());
     if let Some(old) = superseded {
         log.note(Event::Superseded(old, item, call));
+    }
+    match displaced {
+        None => {}
+        Some(Refused::Full(other)) => {
+            assert!(capacity < 2, "{other:?} keeps its place beside one vehicle");
+            log.note(Event::Displaced(other, item, call));
+        }
+        Some(other) => unreachable!("{other:?}"),
     }
     match queued {
         Ok(()) => log.note(Event::Queued(item, call)),
@@ -146,9 +158,23 @@ fn check_ends(events: &[Event]) {
         }
     }
     for event in events {
-        if let Event::Superseded(old, by, _) = event {
-            assert!(old.is_of_vehicle_of(by), "{event:?}");
-            assert!(old.by != by.by || old.number < by.number, "{event:?}");
+        match event {
+            Event::Superseded(old, by, _) => {
+                assert!(old.is_of_vehicle_of(by), "{event:?}");
+                assert!(old.by != by.by || old.number < by.number, "{event:?}");
+            }
+            Event::Displaced(old, by, Call(_, end)) => {
+                assert!(!old.is_of_vehicle_of(by), "{event:?}");
+                let served = events.iter().any(|event| {
+                    matches!(event, Event::Popped(last, Call(begin, _))
+                        if last.is_of_vehicle_of(old) && begin < end)
+                });
+                assert!(
+                    served,
+                    "{event:?} before its vehicle was served: {events:?}"
+                );
+            }
+            Event::Queued(..) | Event::Refused(_) | Event::Popped(..) => {}
         }
     }
 }
@@ -183,7 +209,9 @@ fn check_order(events: &[Event]) {
 
 fn removal(event: &Event) -> Option<(Item, Call)> {
     match event {
-        Event::Popped(item, call) | Event::Superseded(item, _, call) => Some((*item, *call)),
+        Event::Popped(item, call)
+        | Event::Superseded(item, _, call)
+        | Event::Displaced(item, _, call) => Some((*item, *call)),
         Event::Queued(..) | Event::Refused(_) => None,
     }
 }
