@@ -129,7 +129,7 @@ impl VehicleClient {
 
     /// The replicas that have announced themselves until now, also since the last period.
     pub fn replicas(&mut self) -> &[Name] {
-        self.tell_what_came(Instant::now());
+        self.tell_what_came(FEW, Instant::now());
         self.driver.replicas()
     }
 
@@ -213,7 +213,7 @@ impl VehicleClient {
     }
 
     fn decide(&mut self, deadline: Instant, measurement: Measurement) -> Result<Step, ClientError> {
-        self.tell_what_came(deadline);
+        let mut few = FEW.saturating_sub(self.tell_what_came(FEW, deadline));
         let (now, due) = (self.time(Instant::now()), self.time(deadline));
         self.driver.tick(now, due, measurement)?;
         loop {
@@ -242,24 +242,25 @@ impl VehicleClient {
                 self.tell(event);
             }
             // The deadline ends the period although events keep coming. After a delay of this program, an answer that came
-            // in time may still wait behind others.
+            // in time may still wait behind a few others.
             if self.time(Instant::now()) >= wake {
-                self.tell_what_came(Instant::now());
+                few -= self.tell_what_came(few, Instant::now());
                 self.driver.wake(self.time(Instant::now()));
             }
         }
     }
 
-    /// Passes the received events to the driver: the first [`FEW`] in any case, further ones until the deadline. The next
-    /// step goes on with the rest.
-    fn tell_what_came(&mut self, deadline: Instant) {
+    /// Passes the received events to the driver: the first `few` in any case, further ones until the deadline. Returns their
+    /// number. The next step goes on with the rest.
+    fn tell_what_came(&mut self, few: usize, deadline: Instant) -> usize {
         let mut told = 0;
-        while (told < FEW || Instant::now() < deadline)
+        while (told < few || Instant::now() < deadline)
             && let Some(event) = self.network.next(Duration::ZERO)
         {
             self.tell(event);
             told += 1;
         }
+        told
     }
 
     fn tell(&mut self, event: Event) {
@@ -337,7 +338,7 @@ fn discover(
     }
 }
 
-/// Events that are passed to the driver before each period, even if its deadline has passed, so that they do not pile up.
+/// Events that are passed to the driver in each period, even if its deadline has passed, so that they do not pile up.
 const FEW: usize = 64;
 /// Time between two rounds of questions.
 const POLL: Duration = Duration::from_millis(100);

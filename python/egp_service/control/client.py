@@ -46,8 +46,8 @@ REQUEST_ENCODING = "application/protobuf;egp.v1.StepRequest"
 # Time that a replica may take to answer what it serves, and time between two rounds of questions.
 _QUESTION_SECONDS = 1.0
 _POLL_SECONDS = 0.05
-# Events that are passed to the driver before each period even if its deadline has passed, so that
-# they do not pile up. Further ones are passed until the deadline, and the next step goes on.
+# Events that are passed to the driver in each period even if its deadline has passed, so that they
+# do not pile up. Further ones are passed until the deadline, and the next step goes on.
 _FEW_EVENTS = 64
 _NO_LINK = (
     "there is no link to a service: no program listens, or, with TLS, a certificate is missing, "
@@ -179,7 +179,7 @@ class VehicleClient(StepController):
 
     def _decide(self, start: float, budget: float, measured: Measured) -> Decision:
         due = start + budget
-        self._tell_what_came(due)
+        few = max(0, _FEW_EVENTS - self._tell_what_came(_FEW_EVENTS, due))
         self._driver.tick(start, due, *measured)
         while True:
             while (action := self._driver.next_action()) is not None:
@@ -191,18 +191,20 @@ class VehicleClient(StepController):
             if happened is not None:
                 self._tell(happened)
             # The deadline ends the period although events keep coming. After a delay of this
-            # program, an answer that came in time may still wait behind others.
+            # program, an answer that came in time may still wait behind a few others.
             if time.monotonic() >= wake:
-                self._tell_what_came(time.monotonic())
+                few -= self._tell_what_came(few, time.monotonic())
                 self._driver.wake(time.monotonic())
 
-    def _tell_what_came(self, due: float) -> None:
+    def _tell_what_came(self, few: int, due: float) -> int:
+        """Pass the first `few` received events to the driver, and further ones until `due`."""
         told = 0
-        while told < _FEW_EVENTS or time.monotonic() < due:
+        while told < few or time.monotonic() < due:
             if (happened := self._network.next(0.0)) is None:
-                return
+                break
             self._tell(happened)
             told += 1
+        return told
 
     def _tell(self, happened: Callable[[Driver], None]) -> None:
         # This program may have been held up since the event came.
