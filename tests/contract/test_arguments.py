@@ -114,7 +114,7 @@ def belief() -> RoadBelief:
         (lambda: FleetMap(NOBODY, belief(), road="", vehicle="v"), '"" is no name of .* or road'),
         (
             lambda: FleetMap(NOBODY, belief(), road="r", vehicle="v", lifetime=0.0),
-            "for lifetime, got 0.0",
+            "for lifetime, got 0$",
         ),
     ],
 )

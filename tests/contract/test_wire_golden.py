@@ -178,7 +178,7 @@ def test_the_extension_reads_replies() -> None:
 
 
 def test_the_extension_reads_the_small_messages() -> None:
-    refusal = _core.decode_error(golden("error"))
+    refusal = testing.decode_error(golden("error"))
     assert (refusal.code, refusal.field, refusal.retryable) == ("invalid_field", "x", False)
     ready = _core.decode_ready(golden("ready"))
     for field in READY.keys() - {"version", "vehicle"}:

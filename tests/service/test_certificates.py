@@ -26,7 +26,7 @@ from security_programs import (
 )
 
 from egp_service import StatusPublisher, VehicleClient
-from egp_service._core import RoadBelief, RoadKey, vehicle_key
+from egp_service._core import RoadBelief, vehicle_key
 from egp_service._core.testing import MAP_HEALTH_KEY, live_key
 from egp_service.control.endpoints import free_endpoint, why_unreachable
 from egp_service.control.fleet_map import FleetMap
@@ -34,6 +34,7 @@ from egp_service.monitor.listener import Listener
 from egp_service.simulation.course import build_path
 from egp_service.simulation.scenario import load_scenario
 from patience import wait_until
+from road_messages import tiles_key
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -295,7 +296,7 @@ def test_the_map_takes_reports_under_the_name_of_the_certificate_only(tmp_path: 
             assert not forged.fetch()
         with client(endpoint, own / "operator.json5") as session:
             assert first(session, MAP_HEALTH_KEY) is not None
-            assert first(session, RoadKey("f", "a", "ring").tiles(0), expected=False) is None
+            assert first(session, tiles_key("a", fleet="f"), expected=False) is None
 
 
 def test_the_maps_certificate_does_not_answer_in_a_services_place(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ import zenoh
 from mcap.reader import make_reader
 from typer.testing import CliRunner
 
-from egp_service._core import EgpError, RoadKey, encode_tile_evidence
+from egp_service._core import EgpError
 from egp_service.cli import app, signals
 from egp_service.cli.commands.drive import NOT_COMPLETED
 from egp_service.cli.status_line import MODE_STYLES
@@ -28,6 +28,7 @@ from egp_service.control.session import session_config
 from egp_service.simulation.scenario import library_path, load_scenario
 from patience import ATTEMPTS, PATIENCE, wait_until
 from road_evidence import measured
+from road_messages import evidence, tile_key
 
 LIBRARY = library_path(load_scenario("rounded-rectangle"))
 LONG = """
@@ -150,10 +151,9 @@ def test_a_map_that_could_not_write_a_road_has_status_1(tmp_path: Path) -> None:
     try:
         wait_until(lambda: why_unreachable(endpoint) is None)
         config = session_config([endpoint], PATIENCE, {})
-        key = RoadKey("depot", "car", "ring")
         with zenoh.open(config) as session:
-            payload = encode_tile_evidence(measured(0.5).tile(0), 0.0)
-            (answer,) = session.get(key.tile(0), payload=payload, timeout=PATIENCE)
+            payload = evidence(measured(0.5).tile(0), 0.0)
+            (answer,) = session.get(tile_key("car", 0), payload=payload, timeout=PATIENCE)
             assert answer.ok is not None
         process.send_signal(signal.SIGTERM)
         _, errors = process.communicate(timeout=PATIENCE)

@@ -91,7 +91,7 @@ def test_refusals_are_typed(endpoint: str, client: Any) -> None:  # noqa: ANN401
     with _core.Server(toml(endpoint)):
         wait_until_alive(client)
         (reply,) = list(client.get(testing.step_key("main", "fleet", "car"), payload=b"noise"))
-    refusal = _core.decode_error(reply.err.payload.to_bytes())
+    refusal = testing.decode_error(reply.err.payload.to_bytes())
     assert (refusal.code, refusal.retryable) == ("malformed", False)
 
 

@@ -11,29 +11,24 @@ import sys
 import time
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 import zenoh
 
 from egp_service import simulation
-from egp_service._core import (
-    EgpError,
-    RoadBelief,
-    RoadKey,
-    decode_error,
-    decode_road_tiles,
-    encode_tile_evidence,
-)
-from egp_service._core.testing import MAP_HEALTH_KEY, MAP_METRICS_KEY, MapServer
+from egp_service._core import EgpError, RoadBelief
+from egp_service._core.testing import MAP_HEALTH_KEY, MAP_METRICS_KEY, MapServer, decode_error
 from egp_service.control.endpoints import free_endpoint, why_unreachable
 from egp_service.control.fleet_map import FleetMap
+from egp_service.control.messages import message_class
 from egp_service.control.session import session_config
 from egp_service.simulation.course import road_name
 from egp_service.simulation.scenario import load_scenario
 from patience import PATIENCE, shortest, wait_until
 from road_evidence import PATH, measure, measured
+from road_messages import evidence, tile_key, tiles_key
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -153,44 +148,44 @@ def test_evidence_that_was_not_sent_is_counted(caplog: pytest.LogCaptureFixture)
 
 def test_hostile_input_is_refused_and_the_service_goes_on() -> None:
     endpoint = free_endpoint()
-    key = RoadKey("default", "liar", "ring")
+    key = tile_key("liar", 0, fleet="default")
     tile = measured(0.5).tile(0)
-    good = encode_tile_evidence(tile, 0.0)
-    nan = encode_tile_evidence(np.full(3136 // 8, np.nan).tobytes(), 0.0)
+    good = evidence(tile, 0.0)
+    nan = evidence(np.full(3136 // 8, np.nan).tobytes(), 0.0)
     random = np.random.default_rng(1)
     with map_service(endpoint) as service, raw_session(endpoint) as session:
         for target, payload, code in (
-            (key.tile(0), b"", "version"),
-            (key.tile(0), random.bytes(500), None),
-            (key.tile(0), good[:-5], "malformed"),
-            (key.tile(0), good + b"\x00" * 4000, "malformed"),
-            (key.tile(0), b"\x01" * 500_000, "malformed"),
-            (key.tile(0), encode_tile_evidence(tile + b"\x00", 0.0), "invalid_field"),
-            (key.tile(0), encode_tile_evidence(tile, 4e6), "too_late"),
-            (key.tile(7813), good, "malformed"),
-            (key.tile(0).replace("liar", "@liar"), good, None),
-            (key.tile(0).replace("ring", "a b"), good, "malformed"),
-            (key.tile(0) + "/more", good, "malformed"),
+            (key, b"", "version"),
+            (key, random.bytes(500), None),
+            (key, good[:-5], "malformed"),
+            (key, good + b"\x00" * 4000, "malformed"),
+            (key, b"\x01" * 500_000, "malformed"),
+            (key, evidence(tile + b"\x00", 0.0), "invalid_field"),
+            (key, evidence(tile, 4e6), "too_late"),
+            (key[:-1] + "7813", good, "malformed"),
+            (key.replace("liar", "@liar"), good, None),
+            (key.replace("ring", "a b"), good, "malformed"),
+            (key + "/more", good, "malformed"),
             ("egp/v1/map/nonsense", good, "malformed"),
         ):
             answer, refused = ask(session, target, payload)
             assert answer is None, target
             assert code is None or refused == code, (target, refused)
         # Numbers that are no logarithms cannot be expressed: any 3136 bytes are a tile.
-        assert ask(session, key.tile(0), nan) == (b"", None)
-        assert ask(session, key.tile(1), good) == (b"", None)
+        assert ask(session, key, nan) == (b"", None)
+        assert ask(session, tile_key("liar", 1, fleet="default"), good) == (b"", None)
         # Publications on the service's own key reach vehicles, which read or leave them.
         belief = RoadBelief(PATH)
         with FleetMap(endpoint, belief, road="ring", vehicle="honest") as fleet:
-            session.put(key.changed, random.bytes(100))
+            session.put("egp/v1/@map/default/ring", random.bytes(100))
             assert fleet.fetch()
             assert set(fleet.origins) == {"liar"}
             assert belief.trust == pytest.approx(0.8)
             time.sleep(1.1)
             fleet.exchange()
         for _ in range(300):  # a flood of one vehicle
-            session.get(key.tile(2), ignore, payload=good)
-        assert ask(session, RoadKey("default", "other", "ring").tiles(0))[0]
+            session.get(tile_key("liar", 2, fleet="default"), ignore, payload=good)
+        assert ask(session, tiles_key("other", fleet="default"))[0]
         text = ask(session, MAP_METRICS_KEY)[0]
         assert text is not None
         found = re.findall(r'egp_map_queries_total\{outcome="malformed"\} (\d+)', text.decode())
@@ -200,25 +195,27 @@ def test_hostile_input_is_refused_and_the_service_goes_on() -> None:
 
 def test_fleets_share_nothing_and_a_vehicle_does_not_hear_itself() -> None:
     endpoint = free_endpoint()
-    good = encode_tile_evidence(measured(0.5).tile(0), 2.0)
+    good = evidence(measured(0.5).tile(0), 2.0)
     config = f"""log = "warn"\nzenoh = {{ "listen/endpoints" = '["{endpoint}"]' }}"""
     with MapServer(config), raw_session(endpoint) as session:
-        own = RoadKey("depot", "car-1", "ring")
-        assert ask(session, own.tile(0), good) == (b"", None)
+        assert ask(session, tile_key("car-1", 0), good) == (b"", None)
 
-        def tiles(key: RoadKey) -> dict[int, list[tuple[str, float]]]:
-            answer, _ = ask(session, key.tiles(0))
+        def tiles(key: str) -> dict[int, list[tuple[str, int]]]:
+            answer, _ = ask(session, key)
             assert answer is not None
-            found, more = decode_road_tiles(answer)
-            assert not more
-            return {tile.index: tile.origins for tile in found}
+            found: Any = message_class("RoadTiles").FromString(answer)
+            assert not found.more
+            return {
+                tile.index: [(origin.vehicle, origin.age_ms) for origin in tile.origins]
+                for tile in found.tiles
+            }
 
-        assert tiles(own) == {}
-        assert tiles(RoadKey("harbour", "car-2", "ring")) == {}
-        assert tiles(RoadKey("depot", "car-2", "park")) == {}
-        ((vehicle, age),) = tiles(RoadKey("depot", "car-2", "ring"))[0]
+        assert tiles(tiles_key("car-1")) == {}
+        assert tiles(tiles_key("car-2", fleet="harbour")) == {}
+        assert tiles(tiles_key("car-2", road="park")) == {}
+        ((vehicle, age),) = tiles(tiles_key("car-2"))[0]
         assert vehicle == "car-1"
-        assert 2.0 <= age < 7.0
+        assert 2000 <= age < 7000
 
 
 def test_a_configuration_that_cannot_be_used_is_an_error() -> None:
@@ -241,19 +238,18 @@ def metric(session: zenoh.Session, name: str) -> int:
 
 def test_roads_are_written_in_time_and_a_map_that_cannot_write_says_so(tmp_path: Path) -> None:
     endpoint, folder = free_endpoint(), tmp_path / "roads"
-    key = RoadKey("depot", "car", "ring")
-    good = encode_tile_evidence(measured(0.5).tile(0), 0.0)
+    good = evidence(measured(0.5).tile(0), 0.0)
     config = f"""folder = "{folder}"\nsave_ms = 10\npublish_ms = 3600000\nlog = "off"
         zenoh = {{ "listen/endpoints" = '["{endpoint}"]' }}"""
     with MapServer(config) as server, raw_session(endpoint) as session:
         with pytest.raises(EgpError, match=f"another map service keeps the folder {folder}"):
             MapServer(config)
-        assert ask(session, key.tile(0), good) == (b"", None)
+        assert ask(session, tile_key("car", 0), good) == (b"", None)
         wait_until((folder / "depot@ring.road").exists)
         wait_until(lambda: metric(session, "egp_map_unsaved_roads") == 0)
         assert metric(session, 'egp_map_writes_total{outcome="written"}') >= 1
         shutil.rmtree(folder)
-        assert ask(session, key.tile(1), good) == (b"", None)
+        assert ask(session, tile_key("car", 1), good) == (b"", None)
         wait_until(lambda: metric(session, 'egp_map_writes_total{outcome="failed"}') >= 1)
         assert metric(session, "egp_map_unsaved_roads") == 1
         with pytest.raises(EgpError, match="1 roads of the map were not written"):

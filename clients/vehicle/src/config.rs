@@ -51,7 +51,24 @@ pub struct VehicleConfig {
     pub zenoh: BTreeMap<String, String>,
 }
 
+/// How a client reaches services, as the fields of [`VehicleConfig`] and of [`crate::FleetMapConfig`] state it.
+pub(crate) struct Access<'a> {
+    pub(crate) connect: &'a [String],
+    pub(crate) patience: Duration,
+    pub(crate) zenoh_file: Option<&'a Path>,
+    pub(crate) zenoh: &'a BTreeMap<String, String>,
+}
+
 impl VehicleConfig {
+    pub(crate) fn access(&self) -> Access<'_> {
+        Access {
+            connect: &self.connect,
+            patience: self.patience,
+            zenoh_file: self.zenoh_file.as_deref(),
+            zenoh: &self.zenoh,
+        }
+    }
+
     /// Defaults for a vehicle of this name with these actuator limits that connects to these endpoints.
     ///
     /// # Errors

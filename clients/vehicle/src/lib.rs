@@ -17,11 +17,14 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
+//! [`FleetMap`] exchanges what the vehicle measured about a road's friction with the other vehicles of its fleet.
+//!
 //! A program calls [`set_receive_threads`] first, so that a replica that falls silent does not delay the answers of others, and
 //! [`survive_file_size_limit`] if it writes traces.
 
 mod client;
 mod config;
+mod fleet_map;
 mod network;
 mod status;
 mod traces;
@@ -29,9 +32,12 @@ mod traces;
 pub use client::{ClientError, VehicleClient};
 pub use config::{VehicleConfig, VehicleKeyError};
 pub use egp_driver::{DriverConfig, Late, Lost, Measurement, Outcome, Situation, Step};
+pub use egp_driver::{FleetNotice, FleetSettings, FleetSettingsError};
 pub use egp_gate::{Command, Limits as GateLimits, Mode};
+pub use egp_map::RoadBelief;
 pub use egp_parameters::VehicleParameters;
 pub use egp_session::NetworkError;
 pub use egp_wire::{set_receive_threads, survive_file_size_limit};
+pub use fleet_map::{FleetMap, FleetMapConfig, FleetMapError};
 pub use network::{ask, open_session};
 pub use traces::{StepTraces, StepTracesError};

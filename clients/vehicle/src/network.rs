@@ -3,16 +3,18 @@
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant};
 
-use egp_driver::{Query, QueryId, Question};
+use egp_driver::{MapQuery, Query, QueryId, Question};
 use egp_session::NetworkError;
 use egp_wire::keys::{self, Name};
 use zenoh::bytes::ZBytes;
+use zenoh::handlers::DefaultHandler;
 use zenoh::qos::{CongestionControl, Priority};
 use zenoh::query::{ConsolidationMode, Reply};
 use zenoh::sample::SampleKind;
+use zenoh::session::SessionGetBuilder;
 use zenoh::{Config, Wait};
 
-use crate::config::VehicleConfig;
+use crate::config::{Access, VehicleConfig};
 
 /// An event on the network, with the time at which it was received.
 pub(crate) struct Event {
@@ -39,8 +41,12 @@ pub(crate) enum EventKind {
 /// # Errors
 /// [`NetworkError`] if the configuration is not valid, or zenoh opens no session.
 pub fn open_session(config: &VehicleConfig) -> Result<zenoh::Session, NetworkError> {
+    open(&config.access())
+}
+
+fn open(access: &Access<'_>) -> Result<zenoh::Session, NetworkError> {
     const PAUSE: Duration = Duration::from_millis(100);
-    let (zenoh, patience) = (configuration(config)?, config.patience);
+    let (zenoh, patience) = (configuration(access)?, access.patience);
     egp_session::open_patiently(zenoh, patience, PAUSE, &mut || false, &|_| ())
 }
 
@@ -57,11 +63,22 @@ pub fn ask(
     timeout: Duration,
     callback: impl Fn(Reply) + Send + Sync + 'static,
 ) -> Result<(), NetworkError> {
-    session
+    let request = session
         .get(key)
         .payload(payload)
         .attachment((!attachment.is_empty()).then_some(attachment))
-        .encoding("application/protobuf;egp.v1.StepRequest")
+        .encoding("application/protobuf;egp.v1.StepRequest");
+    send(request, key, timeout, callback)
+}
+
+/// Sends a query whose replies are for `callback`.
+fn send(
+    query: SessionGetBuilder<'_, '_, DefaultHandler>,
+    key: &str,
+    timeout: Duration,
+    callback: impl Fn(Reply) + Send + Sync + 'static,
+) -> Result<(), NetworkError> {
+    query
         // zenoh would wait for up to five seconds while a link to a silent replica is full, and later requests would be late.
         .congestion_control(CongestionControl::Drop)
         // By default zenoh keeps a reply until all copies of the question have ended.
@@ -164,14 +181,18 @@ impl Network {
     pub(crate) fn ask(&self, query: Query) {
         let id = query.id;
         // zenoh drops it after the last answer, together with the callback that holds it.
-        let end = End(id, self.sender.clone());
+        let (out, end) = (self.sender.clone(), self.sender.clone());
+        let end = AtEnd(move || report(&end, EventKind::Ended(id)));
         let sent = ask(
             &self.session,
             &query.key,
             query.payload,
             query.attachment,
             query.listen,
-            move |reply| report(&end.1, answer(id, reply)),
+            move |reply| {
+                let _ = &end;
+                report(&out, answer(id, reply));
+            },
         );
         if sent.is_err() {
             report(&self.sender, EventKind::Ended(id));
@@ -211,6 +232,82 @@ impl Network {
     }
 }
 
+/// An event of the exchange with a map service.
+pub(crate) enum MapEvent {
+    /// The service published that tiles have new evidence.
+    Changed(Vec<u8>),
+    /// A reply's payload.
+    Replied(QueryId, Vec<u8>),
+    /// Payload of an error reply.
+    Refused(QueryId, Vec<u8>),
+    /// No more answers come.
+    Ended(QueryId),
+}
+
+/// A session with a map service, and its events.
+pub(crate) struct MapNetwork {
+    session: zenoh::Session,
+    events: Receiver<MapEvent>,
+    sender: Sender<MapEvent>,
+    // This field is never read; while it lives, it reports the service's publications.
+    _subscriber: zenoh::pubsub::Subscriber<()>,
+}
+
+impl MapNetwork {
+    /// Opens a session that gets the publications on the key `publications`.
+    pub(crate) fn open(access: &Access<'_>, publications: &str) -> Result<Self, NetworkError> {
+        let session = open(access)?;
+        let (sender, events) = channel();
+        let out = sender.clone();
+        let subscriber = session
+            .declare_subscriber(publications)
+            .callback(move |sample| {
+                let payload = sample.payload().to_bytes().into_owned();
+                tell(&out, MapEvent::Changed(payload));
+            })
+            .wait()
+            .map_err(|e| NetworkError::new(format!("cannot subscribe to {publications}"), &e))?;
+        Ok(Self {
+            session,
+            events,
+            sender,
+            _subscriber: subscriber,
+        })
+    }
+
+    /// The next event, or `None` if there is none within `patience`.
+    pub(crate) fn next(&self, patience: Duration) -> Option<MapEvent> {
+        // The channel is never closed, because `self` holds a sender.
+        self.events.recv_timeout(patience).ok()
+    }
+
+    /// Sends a query, whose answers become events. A query that cannot be sent ends immediately.
+    pub(crate) fn ask(&self, query: MapQuery) {
+        let id = query.id;
+        let (out, end) = (self.sender.clone(), self.sender.clone());
+        let end = AtEnd(move || tell(&end, MapEvent::Ended(id)));
+        let request = self
+            .session
+            .get(&query.key)
+            .payload(query.payload.unwrap_or_default())
+            .encoding("application/protobuf;egp.v1.TileEvidence");
+        // An error needs no other treatment than the end of the query.
+        let _ = send(request, &query.key, query.listen, move |reply| {
+            let _ = &end;
+            let event = match reply.into_result() {
+                Ok(sample) => MapEvent::Replied(id, sample.payload().to_bytes().into_owned()),
+                Err(error) => MapEvent::Refused(id, error.payload().to_bytes().into_owned()),
+            };
+            tell(&out, event);
+        });
+    }
+}
+
+fn tell(out: &Sender<MapEvent>, event: MapEvent) {
+    // An error means that the client was dropped.
+    let _ = out.send(event);
+}
+
 /// A publisher of the vehicle's status.
 fn publisher(
     session: &zenoh::Session,
@@ -226,12 +323,12 @@ fn publisher(
         .map_err(|e| NetworkError::new(format!("cannot declare {key}"), &e))
 }
 
-/// Reports the end of a query when it is dropped.
-struct End(QueryId, Sender<Event>);
+/// Calls a function when it is dropped.
+struct AtEnd<F: Fn()>(F);
 
-impl Drop for End {
+impl<F: Fn()> Drop for AtEnd<F> {
     fn drop(&mut self) {
-        report(&self.1, EventKind::Ended(self.0));
+        (self.0)();
     }
 }
 
@@ -262,56 +359,17 @@ const DEFAULTS: [(&str, &str); 2] = [
     ("transport/link/rx/max_message_size", "1048576"),
 ];
 
-fn configuration(config: &VehicleConfig) -> Result<Config, NetworkError> {
-    let endpoints = format!("{:?}", config.connect);
-    let connect = (!config.connect.is_empty()).then_some(("connect/endpoints", endpoints.as_str()));
-    let given = config
+fn configuration(access: &Access<'_>) -> Result<Config, NetworkError> {
+    let endpoints = format!("{:?}", access.connect);
+    let connect = (!access.connect.is_empty()).then_some(("connect/endpoints", endpoints.as_str()));
+    let given = access
         .zenoh
         .iter()
         .map(|(key, value)| (key.as_str(), value.as_str()));
     let values = connect.into_iter().chain(given);
-    egp_session::configuration(config.zenoh_file.as_deref(), &DEFAULTS, values)
+    egp_session::configuration(access.zenoh_file, &DEFAULTS, values)
 }
 
 #[cfg(test)]
-mod tests {
-    #![allow(clippy::unwrap_used)]
-    use super::*;
-    use crate::{GateLimits, VehicleParameters};
-
-    #[test]
-    fn a_replica_whose_loss_is_reported_late_is_found_again() {
-        let listen = [("listen/endpoints", r#"["tcp/127.0.0.1:0"]"#)];
-        let config = egp_session::configuration(None, &DEFAULTS, listen.into_iter()).unwrap();
-        let service = zenoh::open(config).wait().unwrap();
-        let replica: Name = "a".parse().unwrap();
-        let token = service
-            .liveliness()
-            .declare_token(keys::live(&replica))
-            .wait()
-            .unwrap();
-        let endpoint = service.info().locators().wait()[0].to_string();
-        let limits = GateLimits::of(&VehicleParameters::FORD_ESCORT);
-        let config = VehicleConfig::new("test", "car", limits, &[&endpoint]).unwrap();
-        let network = Network::open(&config).unwrap();
-        let next = || {
-            network
-                .next(Duration::from_secs(10))
-                .map(|event| event.kind)
-        };
-        assert!(matches!(next(), Some(EventKind::Appeared(_))));
-
-        // The question after a silence is asked again, too.
-        report(&network.sender, EventKind::Unknown(replica.clone()));
-        assert!(matches!(next(), Some(EventKind::Unknown(_))));
-        assert!(matches!(next(), Some(EventKind::Appeared(_))));
-
-        report(&network.sender, EventKind::Gone(replica));
-        assert!(matches!(next(), Some(EventKind::Gone(_))));
-        assert!(matches!(next(), Some(EventKind::Appeared(_))));
-
-        token.undeclare().wait().unwrap();
-        assert!(matches!(next(), Some(EventKind::Gone(_))));
-        assert!(network.next(Duration::from_millis(300)).is_none());
-    }
-}
+#[path = "../tests/unit/network.rs"]
+mod tests;

@@ -8,6 +8,7 @@ A name that the package's public interface can reach has its documentation here,
 from egp_service._core.belief import *
 from egp_service._core.driver import *
 from egp_service._core.error import *
+from egp_service._core.fleet import *
 from egp_service._core.library import *
 from egp_service._core.map import *
 from egp_service._core.optimal_control import *

@@ -35,6 +35,28 @@ class Gate:
     def mode(self) -> Literal["normal", "tail", "stop", "waiting"]: ...
 
 @final
+class Refusal:
+    code: Final[
+        Literal[
+            "unspecified",
+            "malformed",
+            "version",
+            "invalid_field",
+            "unknown_library",
+            "overloaded",
+            "superseded",
+            "too_late",
+            "draining",
+            "unauthenticated",
+            "internal",
+        ]
+    ]
+    retryable: Final[bool]
+    retry_after_us: Final[int]
+    field: Final[str]
+    detail: Final[str]
+
+@final
 class MapServer:
     def __new__(cls, config_toml: str) -> MapServer: ...
     def stop(self) -> None: ...
@@ -80,6 +102,7 @@ def plant_step_batch(
     friction: NDArray[np.float64] | _Surface,
     vehicle: int = 1,
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]: ...
+def decode_error(data: bytes) -> Refusal: ...
 def decode_timing(data: bytes) -> tuple[int, int]: ...
 def step_key(replica: str, fleet: str, vehicle: str) -> str: ...
 def ready_key(replica: str) -> str: ...

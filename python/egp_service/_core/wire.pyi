@@ -81,28 +81,6 @@ class Reply:
     friction: Final[Friction | None]
 
 @final
-class Refusal:
-    code: Final[
-        Literal[
-            "unspecified",
-            "malformed",
-            "version",
-            "invalid_field",
-            "unknown_library",
-            "overloaded",
-            "superseded",
-            "too_late",
-            "draining",
-            "unauthenticated",
-            "internal",
-        ]
-    ]
-    retryable: Final[bool]
-    retry_after_us: Final[int]
-    field: Final[str]
-    detail: Final[str]
-
-@final
 class Ready:
     ready: Final[bool]
     library: Final[bytes]
@@ -116,7 +94,6 @@ class Ready:
 
 def decode_request(data: bytes) -> Request: ...
 def decode_reply(data: bytes) -> Reply: ...
-def decode_error(data: bytes) -> Refusal: ...
 def decode_ready(data: bytes) -> Ready: ...
 def file_descriptor_set() -> bytes: ...
 def replica_of_live(key: str) -> str | None: ...

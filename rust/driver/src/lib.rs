@@ -1,5 +1,6 @@
 //! Everything that a vehicle's side decides about control steps: which replica to ask, how long to wait, which replies
-//! to use, what to carry to the next step, and what reaches the actuators.
+//! to use, what to carry to the next step, and what reaches the actuators. [`FleetExchange`] decides what it tells a fleet's
+//! map, and what it asks it.
 //!
 //! [`Driver`] is a state machine without clock, network or threads. A transport reports each event with its time, and
 //! carries out the [`Action`]s that the driver returns. The onboard client does this over zenoh, the in-process
@@ -38,6 +39,7 @@ mod carry;
 mod config;
 mod discovery;
 mod driver;
+mod fleet;
 mod in_process;
 mod measurement;
 mod rank;
@@ -51,6 +53,9 @@ pub use carry::Carry;
 pub use config::{DriverConfig, DriverError, RunKey};
 pub use discovery::{Discovery, DiscoveryError, Question, Unusable};
 pub use driver::{Driver, Time};
+pub use fleet::{
+    FleetAction, FleetExchange, FleetNotice, FleetSettings, FleetSettingsError, MapQuery, Purpose,
+};
 pub use in_process::{Answer, InProcessDriver};
 pub use measurement::{InvalidArgument, Measurement};
 pub use situation::{Lost, Situation};

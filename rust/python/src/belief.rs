@@ -80,7 +80,7 @@ const SHAPE_POINTS: usize = 32;
 
 #[doc = doc!(RoadBelief)]
 #[pyclass(module = "egp_service._core")]
-pub struct RoadBelief(egp_map::RoadBelief);
+pub struct RoadBelief(pub egp_map::RoadBelief);
 
 #[pymethods]
 impl RoadBelief {

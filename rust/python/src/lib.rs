@@ -13,6 +13,7 @@ mod driver;
 mod driver_arguments;
 mod error;
 mod failure;
+mod fleet;
 mod gate;
 mod library;
 mod library_writer;
@@ -72,6 +73,12 @@ mod _core {
     }
 
     #[pymodule]
+    mod fleet {
+        #[pymodule_export]
+        use crate::fleet::{FleetExchange, FleetNotice, MapQuery};
+    }
+
+    #[pymodule]
     mod library {
         #[pymodule_export]
         use crate::library::Library;
@@ -84,10 +91,7 @@ mod _core {
     #[pymodule]
     mod map {
         #[pymodule_export]
-        use crate::map::{
-            Keys, RoadTile, check_map, decode_road_tiles, decode_tiles_changed,
-            encode_tile_evidence, serve_map,
-        };
+        use crate::map::{check_map, serve_map};
     }
 
     #[pymodule]
@@ -150,6 +154,8 @@ mod _core {
             MapServer, decode_timing, live_key, ocp_to_qp, plant_derivative, plant_initial_states,
             plant_lateral_acceleration, plant_step_batch, ready_key, step_key,
         };
+        #[pymodule_export]
+        use crate::wire::{Refusal, decode_error};
     }
 
     #[pymodule]
@@ -174,9 +180,9 @@ mod _core {
         const VEHICLE_KEYS: &str = egp_wire::keys::ALL_VEHICLES;
         #[pymodule_export]
         use crate::wire::{
-            Friction, Refusal, Replica, Reply, Request, decode_error, decode_ready, decode_reply,
-            decode_request, file_descriptor_set, publishing_vehicle, replica_of_live,
-            replica_of_load, vehicle_key, vehicle_road_key,
+            Friction, Replica, Reply, Request, decode_ready, decode_reply, decode_request,
+            file_descriptor_set, publishing_vehicle, replica_of_live, replica_of_load, vehicle_key,
+            vehicle_road_key,
         };
     }
 

@@ -3,6 +3,8 @@
 
 mod carry;
 mod descriptions;
+mod fleet;
+mod fleet_car;
 mod gate;
 mod hedge;
 mod held_up;

@@ -1,0 +1,32 @@
+//! Settings of the exchange with a fleet's map.
+
+use std::time::Duration;
+
+use thiserror::Error;
+
+/// A setting that is out of range.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum FleetSettingsError {
+    /// See [`FleetSettings::lifetime`].
+    #[error("expected a positive number of seconds for lifetime, got {0}")]
+    Lifetime(f64),
+}
+
+/// Settings of a [`FleetExchange`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FleetSettings {
+    /// Time in s in which a report loses information, as the map service has it: reports age while the service is silent.
+    /// Default 1800.
+    pub lifetime: f64,
+    /// How long an answer, [`FleetExchange::fetch`] and [`FleetExchange::finish`] may take. Default 3 s.
+    pub timeout: Duration,
+}
+
+impl Default for FleetSettings {
+    fn default() -> Self {
+        Self {
+            lifetime: 1800.0,
+            timeout: Duration::from_secs(3),
+        }
+    }
+}

@@ -1,0 +1,118 @@
+//! What takes longer than a control period: asking for the whole road before a drive, and sending the last evidence after it.
+
+use std::collections::BTreeSet;
+use std::time::Duration;
+
+use egp_map::RoadBelief;
+
+use super::{FleetExchange, FleetNotice};
+use crate::driver::Time;
+
+/// Part of the time-out that the first question of [`FleetExchange::fetch`] may take, so that a lost answer is asked for again.
+/// Later ones may take all of it, as the answers on a slow link do.
+const FIRST_SHARE: u32 = 3;
+/// Pause before [`FleetExchange::fetch`] asks again: the link may not be there yet.
+const PAUSE: Duration = Duration::from_millis(50);
+
+/// What the transport waits for.
+#[derive(Clone, Debug)]
+pub(super) enum Waiting {
+    Fetch { until: Time, again: Option<Time> },
+    Finish { until: Time, tried: BTreeSet<u32> },
+}
+
+impl FleetExchange {
+    /// Asks for all tiles, again if there is no answer. Once [`Self::is_waiting`] is false, the map service has answered unless
+    /// it is [`Self::silent`].
+    pub fn fetch(&mut self, now: Time) {
+        let until = now + self.settings.timeout;
+        self.waiting = Some(Waiting::Fetch { until, again: None });
+        self.silent = false;
+        self.ask(0, self.last_tile(), self.settings.timeout / FIRST_SHARE);
+    }
+
+    /// Sends the last evidence, unless the service is silent. Once [`Self::is_waiting`] is false, [`Self::unsent`] tells what
+    /// could not be sent.
+    pub fn finish(&mut self, now: Time, belief: &mut RoadBelief) {
+        let until = now + self.settings.timeout;
+        let tried = BTreeSet::new();
+        self.waiting = Some(Waiting::Finish { until, tried });
+        if self.silent {
+            self.end_waiting(now, belief);
+        } else {
+            self.send_rest(now, belief);
+        }
+    }
+
+    /// Whether [`Self::fetch`] or [`Self::finish`] goes on.
+    pub fn is_waiting(&self) -> bool {
+        self.waiting.is_some()
+    }
+
+    /// When [`Self::wake`] is due, if at all.
+    pub fn next_wake(&self) -> Option<Time> {
+        match self.waiting {
+            Some(Waiting::Fetch { until, again }) => Some(again.map_or(until, |at| at.min(until))),
+            Some(Waiting::Finish { until, .. }) => Some(until),
+            None => None,
+        }
+    }
+
+    /// States the present time while the transport waits.
+    pub fn wake(&mut self, now: Time, belief: &mut RoadBelief) {
+        match &mut self.waiting {
+            Some(Waiting::Fetch { until, .. } | Waiting::Finish { until, .. }) if now >= *until => {
+                let failed = matches!(self.waiting, Some(Waiting::Fetch { .. })) || self.sends();
+                self.silent |= failed;
+                self.end_waiting(now, belief);
+            }
+            Some(Waiting::Fetch { again, .. }) if again.is_some_and(|at| now >= at) => {
+                *again = None;
+                self.silent = false;
+                self.ask(0, self.last_tile(), self.settings.timeout);
+            }
+            _ => {}
+        }
+    }
+
+    /// Goes on with what the transport waits for after the end of a query.
+    pub(super) fn go_on(&mut self, now: Time, belief: &mut RoadBelief) {
+        match &self.waiting {
+            Some(Waiting::Fetch { .. }) if self.asks() => {}
+            Some(Waiting::Fetch { until, .. }) => {
+                if self.silent || self.stale.is_some() {
+                    let (until, again) = (*until, Some(now + PAUSE));
+                    self.waiting = Some(Waiting::Fetch { until, again });
+                } else {
+                    self.end_waiting(now, belief);
+                }
+            }
+            Some(Waiting::Finish { .. }) => self.send_rest(now, belief),
+            None => {}
+        }
+    }
+
+    /// Sends evidence that was not tried since [`Self::finish`], or ends the waiting if there is none.
+    fn send_rest(&mut self, now: Time, belief: &mut RoadBelief) {
+        if let Some(Waiting::Finish { until, mut tried }) = self.waiting.take() {
+            tried.extend(self.send(now, belief, &tried));
+            self.waiting = Some(Waiting::Finish { until, tried });
+            if !self.sends() {
+                self.end_waiting(now, belief);
+            }
+        }
+    }
+
+    fn end_waiting(&mut self, now: Time, belief: &mut RoadBelief) {
+        match self.waiting.take() {
+            Some(Waiting::Fetch { .. }) if self.silent => self.notice(FleetNotice::NoAnswer),
+            Some(Waiting::Finish { .. }) => {
+                let left = self.unsent(now, belief);
+                if left > 0 {
+                    self.notice(FleetNotice::Unsent(left));
+                }
+            }
+            _ => {}
+        }
+    }
+}

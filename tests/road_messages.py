@@ -1,0 +1,22 @@
+"""Messages and keys of a fleet's map, as docs/map.md states them and not by the code under test."""
+
+from __future__ import annotations
+
+from egp_service.control.messages import message_class
+
+
+def tile_key(vehicle: str, index: int, *, fleet: str = "depot", road: str = "ring") -> str:
+    """Key to which a vehicle sends what it measured in a tile."""
+    return f"egp/v1/map/{fleet}/{vehicle}/{road}/tile/{index}"
+
+
+def tiles_key(vehicle: str, *, fleet: str = "depot", road: str = "ring") -> str:
+    """Key on which a vehicle asks for all tiles."""
+    return f"egp/v1/map/{fleet}/{vehicle}/{road}/tiles/0"
+
+
+def evidence(tile: bytes, age: float) -> bytes:
+    """Bytes of a TileEvidence of this age in s."""
+    message = message_class("TileEvidence")(version=1, age_ms=round(1e3 * age), rows=tile)
+    encoded: bytes = message.SerializeToString()
+    return encoded
