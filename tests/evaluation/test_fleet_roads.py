@@ -18,8 +18,8 @@ def test_only_trials_with_a_map_have_reports() -> None:
     assert fleet_roads.reported(TRIALS[fleet_roads.ALONE]) is None
 
 
-@pytest.mark.parametrize(("name", "said"), [(fleet_roads.LIE, 1.1), (fleet_roads.SLIPPERY, 0.25)])
-def test_a_lying_map_states_one_friction_everywhere(name: str, said: float) -> None:
+@pytest.mark.parametrize(("name", "said"), [(fleet_roads.WRONG, 1.1), (fleet_roads.SLIPPERY, 0.25)])
+def test_a_wrong_map_states_one_friction_everywhere(name: str, said: float) -> None:
     belief = fleet_roads.reported(TRIALS[name])
     assert belief is not None
     assert belief.trust == pytest.approx(0.8)

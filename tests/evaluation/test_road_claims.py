@@ -96,14 +96,14 @@ def test_a_risk_gains_nothing_from_losing_slow_roads() -> None:
     assert (claim.holds, claim.evidence) == (False, f"at worst -4.0 of 10 ({BELIEF}5%)")
 
 
-def test_a_lying_map_costs_the_laps_that_are_completed_without_it() -> None:
+def test_a_wrong_map_costs_the_laps_that_are_completed_without_it() -> None:
     def claimed(outvoted: list[bool], alone: list[bool]) -> tuple[bool | None, str]:
         found = [
             replace(OUTCOME, experiment=FLEET, contender=name, seed=seed, completed=completed)
             for name, runs in ((OUTVOTED, outvoted), (ALONE, alone))
             for seed, completed in enumerate(runs)
         ]
-        (claim,) = (claim for claim in check(found, []) if "lying map" in claim.text)
+        (claim,) = (claim for claim in check(found, []) if "wrong map" in claim.text)
         return claim.holds, claim.evidence
 
     assert claimed([True, True, False], [True, False, False]) == (

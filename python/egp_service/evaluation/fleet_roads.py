@@ -25,23 +25,23 @@ FLEET: Final = "fleet-roads"
 ALONE: Final = "no map"
 SECOND: Final = "map of one car"
 THIRD: Final = "map of three cars"
-LIE: Final = "lying map"
-OUTVOTED: Final = "lying map, outvoted by two cars"
-SLIPPERY: Final = "map that says 0.25 everywhere"
+WRONG: Final = "wrong map, 1.1"
+OUTVOTED: Final = "wrong map, 1.1, and maps of two cars"
+SLIPPERY: Final = "wrong map, 0.25"
 # Cars whose first laps make the map, and the friction that one more vehicle reports everywhere.
 _REPORTS: Final[dict[str, tuple[int, float | None]]] = {
     SECOND: (1, None),
     THIRD: (3, None),
-    LIE: (0, 1.1),
+    WRONG: (0, 1.1),
     OUTVOTED: (2, 1.1),
     SLIPPERY: (0, 0.25),
 }
 _RISK: Final = 0.05
 _AGE: Final = 60.0  # of all reports, s
-# The liar's evidence: as sharp as a cell can hold, from periods so many m apart.
-_LIE_STEP: Final = 0.25
-_LIE_LAPS: Final = 6
-_LIE_SPREAD: Final = 0.05  # of the logarithm of the friction
+# Evidence of a wrong map: as sharp as a cell can hold, from periods so many m apart.
+_WRONG_STEP: Final = 0.25
+_WRONG_LAPS: Final = 6
+_WRONG_SPREAD: Final = 0.05  # of the logarithm of the friction
 
 
 def first_lap_with_a_map() -> ClosedLoopExperiment:
@@ -73,11 +73,11 @@ def reported(trial: Trial) -> RoadBelief | None:
     """
     if trial.experiment != FLEET or trial.contender.name not in _REPORTS:
         return None
-    cars, lie = _REPORTS[trial.contender.name]
+    cars, wrong = _REPORTS[trial.contender.name]
     path = build_path(trial.scenario)
     maps = [_driven(trial, path, number + 1) for number in range(cars)]
-    if lie is not None:
-        maps.append(_lying(path, lie))
+    if wrong is not None:
+        maps.append(_uniform(path, wrong))
     belief = RoadBelief(path)
     for index in range(belief.tiles):
         belief.report(index, merge_tiles([(other.tile(index), _AGE) for other in maps]))
@@ -99,10 +99,10 @@ def _with_noise(scenario: Scenario, more: int) -> Scenario:
     return replace(scenario, track=track, seed=scenario.seed + more)
 
 
-def _lying(path: Path, friction: float) -> RoadBelief:
-    """Return what a car says that claims to have found one friction everywhere."""
+def _uniform(path: Path, friction: float) -> RoadBelief:
+    """Return the map of a car that reports one friction everywhere."""
     belief = RoadBelief(path)
-    claimed = -0.5 * (np.log(np.array(FRICTION_HYPOTHESES) / friction) / _LIE_SPREAD) ** 2
-    for s in np.arange(0.0, _LIE_LAPS * path.length, _LIE_STEP):
+    claimed = -0.5 * (np.log(np.array(FRICTION_HYPOTHESES) / friction) / _WRONG_SPREAD) ** 2
+    for s in np.arange(0.0, _WRONG_LAPS * path.length, _WRONG_STEP):
         belief.update(float(s % path.length), claimed - claimed.max())
     return belief

@@ -115,7 +115,7 @@ def _five_laps(outcomes: Sequence[Outcome]) -> list[Claim]:
 
 
 def _fleet(outcomes: Sequence[Outcome]) -> list[Claim]:
-    """Claim what a map is worth to the second car, and that honest cars outvote a lying one."""
+    """Claim what a map is worth to the second car, and what a wrong map costs beside two others."""
     own = [o for o in outcomes if o.experiment == fleet_roads.FLEET]
     groups = {group.contender: group for group in grouped(own)}
     claims = []
@@ -139,7 +139,7 @@ def _fleet(outcomes: Sequence[Outcome]) -> list[Claim]:
         where = f"; completed only without a map: seed {', '.join(map(str, lost))}" if lost else ""
         claims.append(
             Claim(
-                "A lying map that two honest cars outvote costs no completed lap",
+                "A wrong map beside those of two other cars costs no completed lap",
                 not lost,
                 f"{with_it} of {len(seeds)}, without a map {without}{where}",
             )
