@@ -7,6 +7,7 @@ mod settings;
 mod waiting;
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::mem::take;
 use std::time::Duration;
 
 use egp_map::{RoadBelief, Tile};
@@ -68,6 +69,11 @@ pub struct FleetExchange {
     reports: Reports,
     /// Tiles with new evidence, each with the time at which it was noticed.
     unsent: BTreeMap<u32, Time>,
+    /// Tiles whose evidence was acknowledged, each with the same time.
+    sent: BTreeMap<u32, Time>,
+    /// Whether a query had no answer since the last one that had: the service may have been started again without what it had, and
+    /// publications may be lost.
+    missed: bool,
     /// The first and the last tile that have changed since they were asked for.
     stale: Option<(u32, u32)>,
     exchanged: Time,
@@ -120,6 +126,8 @@ impl FleetExchange {
             open: BTreeMap::new(),
             reports: Reports::new(settings.lifetime),
             unsent: BTreeMap::new(),
+            sent: BTreeMap::new(),
+            missed: false,
             stale: None,
             exchanged: now,
             waiting: None,
@@ -193,7 +201,8 @@ impl FleetExchange {
         self.notice(FleetNotice::Refused(purpose, error));
     }
 
-    /// No more answers to a query come.
+    /// No more answers to a query come. After a query that had none everything is asked for, and with the next answer everything
+    /// is sent again.
     pub fn ended(&mut self, now: Time, id: QueryId, belief: &mut RoadBelief) {
         let Some(open) = self.open.remove(&id) else {
             return;
@@ -204,12 +213,22 @@ impl FleetExchange {
         }
         self.silent = !open.exists;
         match open.subject {
-            Subject::Evidence(tile, noticed) if !open.decided => {
+            Subject::Evidence(tile, noticed) if open.decided => {
+                self.sent.insert(tile, noticed);
+            }
+            Subject::Evidence(tile, noticed) => {
                 self.unsent.entry(tile).or_insert(noticed);
             }
-            Subject::Evidence(..) => {}
             Subject::Tiles(_) if open.decided => self.answered = true,
             Subject::Tiles(_) => self.stale = Some((0, self.last_tile())),
+        }
+        if !open.exists {
+            self.missed = true;
+            self.stale = Some((0, self.last_tile()));
+        } else if take(&mut self.missed) {
+            for (tile, noticed) in &self.sent {
+                self.unsent.entry(*tile).or_insert(*noticed);
+            }
         }
         self.go_on(now, belief);
     }

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use egp_driver::{FleetExchange, FleetNotice, FleetSettings, Purpose};
+use egp_driver::{FleetExchange, FleetNotice, FleetSettings, MapQuery, Purpose};
 use egp_map::RoadBelief;
 use egp_wire::{Code, RoadTiles, TileEvidence, WireError, encode_tiles_changed};
 
@@ -162,13 +162,55 @@ fn evidence_that_changes_while_it_is_sent_is_sent_again_as_it_is_then() {
     car.now += SECOND;
     assert!(car.period().is_empty()); // one message about a tile at a time
     assert_eq!(car.unsent(), 1);
-    car.ended(&first);
+    car.refused(&first, &overloaded());
+    assert!(car.queries().is_empty());
     car.now += SECOND;
     let second = car.query_of_a_period();
     let [before, now] = [&first, &second]
         .map(|query| TileEvidence::decode(query.payload.as_ref().unwrap()).unwrap());
     assert_ne!(before.rows, now.rows);
     assert_eq!(now.age_ms, 1000); // since the change was noticed
+}
+
+#[test]
+fn after_a_silence_everything_is_asked_for_and_sent_again() {
+    let mut car = Car::new(3);
+    car.measure(0, 1);
+    car.now += SECOND;
+    for query in car.period() {
+        car.replied(&query, b"");
+    }
+    assert_eq!(car.unsent(), 0);
+    car.measure(2, 2);
+    car.now += SECOND;
+    let lost = car.query_of_a_period();
+    car.ended(&lost);
+    assert_eq!(car.unsent(), 1); // what was acknowledged counts as sent until the service answers again
+    car.now += SECOND;
+    let [evidence, question] = <[MapQuery; 2]>::try_from(car.period()).unwrap();
+    assert_eq!(evidence.key, lost.key);
+    assert!(question.key.ends_with("/tiles/0"), "{}", question.key);
+    car.replied(&question, &RoadTiles::default().encode());
+    assert_eq!(car.unsent(), 3);
+    car.replied(&evidence, b"");
+    car.now += SECOND;
+    let again = car.period();
+    let keys: Vec<&str> = again.iter().map(|query| query.key.as_str()).collect();
+    assert_eq!(
+        keys,
+        [
+            "egp/v1/map/depot/car-7/ring/tile/0",
+            "egp/v1/map/depot/car-7/ring/tile/1"
+        ]
+    );
+    let evidence = TileEvidence::decode(again[0].payload.as_ref().unwrap()).unwrap();
+    assert_eq!(evidence.age_ms, 3000); // nothing was measured since
+    for query in &again {
+        car.replied(query, b"");
+    }
+    car.now += SECOND;
+    assert!(car.period().is_empty());
+    assert_eq!(car.unsent(), 0);
 }
 
 #[test]

@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used)]
 
 mod command;
+mod fleet_map;
 mod planted;
 mod routers_and_libraries;
 mod simulation;
