@@ -1,4 +1,4 @@
-"""Atomic writing of files: a temporary file is renamed when it is complete; locks of folders."""
+"""Reading of TOML; atomic writing: a complete temporary file is renamed; locks of folders."""
 
 from __future__ import annotations
 
@@ -6,10 +6,13 @@ import errno
 import fcntl
 import os
 import stat
+import tomllib
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+from egp_service._core import EgpError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -79,6 +82,25 @@ def locked(folder: Path) -> Iterator[None]:
         yield
     finally:
         os.close(descriptor)
+
+
+def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
+    """Read the text and the table of a TOML file.
+
+    Raises:
+        EgpError: naming the file, if it cannot be read or is not TOML.
+
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise EgpError(f"{path}: expected a TOML file, got bytes that are no UTF-8 text") from error
+    except (OSError, ValueError) as error:  # the latter for a path with the character NUL
+        raise EgpError(f"{path}: {getattr(error, 'strerror', error)}") from error
+    try:
+        return text, tomllib.loads(text)
+    except ValueError as error:  # also of a number with thousands of digits
+        raise EgpError(f"{path} is not TOML: {error}") from error
 
 
 def write_text(path: Path, text: str) -> None:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Final
 
 from egp_service._core import EgpError, VehicleParameters
+from egp_service.files import read_toml
 
 _SIMULATED: Final = "commonroad-"
 # Magnitudes of model cars to trucks, and those that the control step supports.
@@ -99,17 +99,17 @@ def read_vehicle(path: str | Path) -> VehicleParameters:
     """Read a vehicle's parameters from a TOML file with one line for each field.
 
     Raises:
-        EgpError: naming the file and the field that is missing, unknown or out of range, as
-            `check_limits`.
+        EgpError: naming the file, if it cannot be read or is not TOML, and the field that is
+            missing, unknown or out of range, as `check_limits`.
 
     """
+    _, fields = read_toml(Path(path))
     try:
-        fields = tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
         for name, value in fields.items():
             if isinstance(value, bool) or not isinstance(value, int | float):
                 raise TypeError(f"{name} is {value!r}: expected a number in SI units")  # noqa: TRY301
         vehicle = VehicleParameters(**fields)
-    except (OSError, ValueError, TypeError) as error:
+    except (ValueError, TypeError) as error:
         raise EgpError(f"{path}: {error}") from error
     check_limits(vehicle, str(path))
     return vehicle

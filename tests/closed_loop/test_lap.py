@@ -347,8 +347,9 @@ def test_each_change_of_a_replay_has_its_own_picture(lap: Lap, tmp_path: Path) -
     for name, lateral in (("soft", 20.0), ("softer", 5.0)):
         settings = tmp_path / f"{name}.toml"
         settings.write_text(f"cost.lateral = {lateral}\n")
-        result = CliRunner().invoke(app, [*command, str(settings)])
+        result = CliRunner().invoke(app, [*command, str(settings)], env={"FORCE_COLOR": "1"})
         assert result.exit_code == 0, result.output
+        assert "Drawing ..." in result.output  # as a terminal shows it
     drawn = sorted(path.name for path in tmp_path.glob("*.png"))
     assert drawn == ["run-replay-soft.png", "run-replay-softer.png"]
     # Nor does a replay replace a picture of the run itself.

@@ -18,6 +18,7 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from egp_service.cli import app, evaluation_parts
+from egp_service.cli.commands.drive import NOT_COMPLETED
 from egp_service.cli.commands.evaluate import _on_plant
 from egp_service.cli.evaluation_parts import Selection
 from egp_service.evaluation import experiments
@@ -85,6 +86,10 @@ class Writing(Slots):
         u[:] = 0.123
         p_x, p_y, *rest = self.state
         self.state = [p_x + rest[0] * dt, p_y, *rest]
+
+class Far(Slots):
+    __slots__ = ()
+    def step(self, u, dt, friction): self.state = [1e8, *self.state[1:]]
 
 class Backwards(Slots):
     __slots__ = ()
@@ -241,6 +246,19 @@ def test_a_simulator_that_writes_into_its_input_changes_no_record(folder: Path) 
         run = drive(own, controller, lambda period: commands.append(period.step.u.copy()))
     assert np.array_equal(run.trace.u, commands)
     assert not (run.trace.u == 0.123).any()
+
+
+@pytest.mark.parametrize(
+    ("name", "message"), [("Slots", "is not finite: [nan"), ("Far", "has a number beyond ±1e+07:")]
+)
+def test_a_drive_says_which_state_of_a_simulator_ended_it(
+    folder: Path, name: str, message: str
+) -> None:
+    command = ["drive", "--plant", f"broken_car:{name}", "--in-process", "--no-pictures"]
+    result = CliRunner().invoke(app, [*command, "-o", str(folder / "runs")])
+    assert result.exit_code == NOT_COMPLETED
+    told = f"The run ended early. Lost control: broken_car:{name}.state after step {message}"
+    assert told in " ".join(result.output.split())
 
 
 def test_the_summary_of_a_state_that_is_no_number_is_json(folder: Path) -> None:

@@ -6,6 +6,7 @@ import os
 import time
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -161,7 +162,9 @@ def test_a_road_is_kept_in_a_file(laps: Laps, tmp_path: Path) -> None:
         ({"friction": 0.5}, "speed.friction is 0.5"),
     ):
         deaf = replace(BLIND, speed=replace(BLIND.speed, **change))
-        with pytest.raises(ScenarioError, match=f"random.road has no effect while {reason}"):
+        with pytest.raises(
+            ScenarioError, match=f"--road .*random.road has no effect while {reason}"
+        ):
             load_belief(deaf, file)
 
 
@@ -197,7 +200,7 @@ def test_the_weights_of_another_library_are_no_baseline(tmp_path: Path) -> None:
         members = list(range(len(controller.members)))
         write_library_subset(library_path(scenario), other, members[::-1])
         # A controller that does not tell the frictions of its members, as one of a service.
-        controller.frictions = None
+        vars(controller)["frictions"] = None
         with pytest.raises(ScenarioError, match="another library than the scenario"):
             drive(replace(scenario, library=str(other)), controller, lambda _: None)
 
@@ -244,3 +247,18 @@ def test_a_drive_that_is_interrupted_keeps_what_it_found(
     known, nothing = load_belief(random, file), RoadBelief(build_path(random))
     # The car has driven some 20 m.
     assert known.quantiles(np.array([5.0]), 0.05) > nothing.quantiles(np.array([5.0]), 0.05)
+
+
+def test_an_interruption_of_the_pictures_names_the_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    short = replace(load_scenario("rounded-rectangle"), laps=0.01)
+    (tmp_path / "short.toml").write_text(short.toml(), encoding="utf-8")
+    monkeypatch.setattr("egp_service.simulation.report.draw_run", Mock(side_effect=SystemExit(143)))
+    command = ["drive", "-s", str(tmp_path / "short.toml"), "--in-process", "-o", str(tmp_path)]
+    result = CliRunner().invoke(app, command)
+    assert result.exit_code == 143
+    (folder,) = tmp_path.glob("*-rounded-rectangle")
+    assert f"What was recorded until then is in {folder}\n" in result.output
+    shown = CliRunner().invoke(app, command, env={"FORCE_COLOR": "1"}).output
+    assert "Drawing ..." in shown

@@ -204,10 +204,10 @@ def test_training_does_not_begin_with_what_fails_at_its_end(tmp_path: Path) -> N
     told = failure("train", str(log), "-o", library)
     assert "vehicle 'own car' are not known" in told
     assert "--vehicle" in told
-    for wrong in (tmp_path, tmp_path / "absent" / "library.safetensors"):
-        assert "expected a file in a folder" in failure("train", str(log), "-o", str(wrong))
+    absent = tmp_path / "absent" / "library.safetensors"
+    assert "expected a file in a folder" in failure("train", str(log), "-o", str(absent))
     told = failure("train", str(log), "-o", library, "--picture", str(tmp_path))
-    assert "expected a file in a folder" in told
+    assert told == f"{tmp_path} is a folder: name a file in it"
 
 
 def test_a_drive_that_cannot_begin_leaves_no_folder(

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import pytest
+from typer.testing import CliRunner
 
 from egp_service import InvalidArgumentError
+from egp_service.cli import app
 from egp_service.control.endpoints import check_endpoints
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 @pytest.mark.parametrize(
@@ -46,3 +53,22 @@ def test_a_port_is_a_number_of_16_bits() -> None:
 
 def test_other_protocols_have_other_addresses() -> None:
     check_endpoints(["unixsock-stream//tmp/socket", "serial//dev/ttyUSB0#baudrate=9600"])
+
+
+@pytest.mark.parametrize(
+    ("command", "meant"),
+    [
+        ("map --listen xyz", "tcp/xyz:7448"),
+        ("monitor --listen xyz", "tcp/xyz:7450"),
+        ("router --listen xyz", "tcp/xyz:7449"),
+        ("serve nothing --listen xyz", "tcp/xyz:7447"),
+        ("drive -s random --in-process --no-pictures --fleet xyz --vehicle v", "tcp/xyz:7448"),
+        ("drive -s random --in-process --no-pictures --monitor xyz", "tcp/xyz:7450"),
+    ],
+)
+def test_the_suggested_port_is_that_of_the_program(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str, meant: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = CliRunner().invoke(app, command.split())
+    assert f"did you mean {meant!r}?" in str(result.exception)

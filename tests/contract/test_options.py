@@ -21,10 +21,18 @@ NOBODY = "tcp/127.0.0.1:9"
     ("command", "told"),
     [
         ("replay run.mcap -o x.png --no-pictures", "--output names a picture, which --no-pictures"),
+        ("load --replay run.mcap --grip 0.3", "--grip is for simulated vehicles, and --replay"),
         ("load --replay run.mcap --json run.mcap", "run.mcap would overwrite run.mcap"),
         ("load --replay run.mcap --figure x.png --json x.png", "x.png would overwrite x.png"),
         ("evaluate --train --jobs 2 --cluster 127.0.0.1:6379", "--jobs and --cluster exclude"),
         ("evaluate --train -o .", "runs of a library that was not trained there"),
+        (
+            "collect --friction 0.5 -o .",
+            ". is a folder: name a dataset in it, such as data.parquet",
+        ),
+        ("train data.parquet -o .", ". is a folder: name a file in it"),
+        ("train a.parquet -o l --validation 1.5", "--validation is 1.5: expected a share between"),
+        ("train a -o l --mean constant --restarts -1", "--restarts is -1: expected 0 or more"),
         ("drive --in-process --connect tcp/127.0.0.1:9", "--in-process excludes --connect"),
         ("drive --in-process --zenoh z.json5", "--zenoh has no use with --in-process unless"),
         (
@@ -45,6 +53,19 @@ def test_what_would_not_be_used_is_an_error(
     assert result.exit_code != 0
     assert told in message
     assert [path.name for path in tmp_path.iterdir()] == ["library.sha256"]
+
+
+@pytest.mark.parametrize(
+    "command", ["train a.parquet -o l", "vehicle fit a.parquet", "evaluate --log a.parquet"]
+)
+def test_a_terminal_shows_that_a_command_loads(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shown = RUNNER.invoke(app, command.split(), env={"FORCE_COLOR": "1"})
+    assert isinstance(shown.exception, EgpError | OSError)
+    assert "Loading ..." in shown.output
+    assert not RUNNER.invoke(app, command.split()).output
 
 
 def test_a_drive_in_this_process_publishes_by_a_configuration_of_zenoh(

@@ -29,6 +29,7 @@ from egp_service.cli.tables import (
 )
 from egp_service.data.alignment import Delays
 from egp_service.data.dataset import Dataset, Provenance
+from egp_service.evaluation import baselines
 from egp_service.evaluation.experiments import EXPERIMENTS
 from egp_service.evaluation.logs import OURS, PAPER, VEHICLE
 from egp_service.evaluation.summary_report import HEADLINE
@@ -164,6 +165,9 @@ def test_a_fitted_vehicle_fits(determined: bool) -> None:  # noqa: FBT001
     assert "\n" not in str(table.caption)
     shown = " ".join(" ".join(printed(table)).split())
     assert ("scales with the mass" in shown) == determined
+    assert "c_0: rolling resistance" in shown
+    level = FittedVehicle(tuple(parameters[:-2]))
+    assert "c_0" not in str(vehicle_table("friction 0.5", level.summary()).caption)
     # The mass that the import assumed is not determined, either.
     assert shown.count("not determined") == (1 if determined else len(PARAMETERS))
 
@@ -210,6 +214,21 @@ def test_the_content_of_libraries_fits(tmp_path: Path) -> None:
         inspect(path, console)
         assert isinstance(console.file, io.StringIO)
         check(console.file.getvalue().splitlines())
+
+
+@pytest.mark.parametrize("columns", [40, 60])
+def test_a_narrow_terminal_shows_all_of_a_library(tmp_path: Path, columns: int) -> None:
+    axles = tmp_path / "axles.safetensors"
+    baselines.write(axles, "single-track", shipped.DEMO_LIBRARY, [0, 1], 1)
+    for path in (axles, shipped.DEMO_LIBRARY):
+        wide, narrow = (io.StringIO() for _ in range(2))
+        inspect(path, Console(file=wide, width=400))
+        inspect(path, Console(file=narrow, width=columns))
+        assert "…" not in narrow.getvalue()
+        # The lines of the properties above the tables may break within a number.
+        tables = (shown.getvalue().partition("Surfaces")[2] for shown in (wide, narrow))
+        in_wide, in_narrow = (Counter(re.findall(r"[-+.\de]*\d", text)) for text in tables)
+        assert in_wide == in_narrow
 
 
 def test_a_narrow_terminal_shows_rows_as_paragraphs() -> None:

@@ -158,8 +158,11 @@ def test_runs_of_another_build_are_told(tmp_path: Path) -> None:
         assert Campaign(tmp_path, SHIPPED).of_another_build
 
 
-def test_a_library_without_all_members_is_refused() -> None:
+def test_a_library_without_all_members_is_refused(tmp_path: Path) -> None:
     library = library_path(load_scenario("rounded-rectangle"))
+    write_library_subset(library, tmp_path / "one.safetensors", [0])
+    with pytest.raises(EgpError, match=r"one\.safetensors has 1 member, these experiments need 7"):
+        require_members(tmp_path / "one.safetensors", EXPERIMENTS)
     with pytest.raises(EgpError, match="2 members, these experiments need 7"):
         require_members(library, EXPERIMENTS)
     require_members(SHIPPED, EXPERIMENTS)

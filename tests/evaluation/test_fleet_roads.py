@@ -22,7 +22,7 @@ def test_only_trials_with_a_map_have_reports() -> None:
 def test_a_wrong_map_states_one_friction_everywhere(name: str, said: float) -> None:
     belief = fleet_roads.reported(TRIALS[name])
     assert belief is not None
-    assert belief.trust == pytest.approx(0.8)
+    assert belief.trust == pytest.approx(0.5)
     places = np.linspace(0.0, build_path(TRIALS[name].scenario).length, 40)
     assert belief.quantiles(places, 0.5) == pytest.approx(np.full(40, said), rel=0.1)
 

@@ -16,6 +16,8 @@ from egp_service.evaluation import experiments
 from egp_service.evaluation.campaign import SHOWN_CONTENDERS, fingerprint
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
 from egp_service.evaluation.experiments import EXPERIMENTS, on_track
+from egp_service.simulation.scenario import load_scenario
+from egp_service.simulation.scenario_checks import ScenarioError
 from fewer_contenders import with_contenders
 
 if TYPE_CHECKING:
@@ -32,6 +34,18 @@ def write_centre_line(file: Path, radius: float) -> None:
     r = radius * (1.0 + 0.1 * np.cos(3.0 * angle))
     rows = np.column_stack([r * np.cos(angle), r * np.sin(angle), np.full((60, 2), 0.4)])
     np.savetxt(file, rows, fmt="%.6f", delimiter=",", header="x_m,y_m,w_tr_right_m,w_tr_left_m")
+
+
+def test_edges_that_are_too_far_name_file_and_scale(tmp_path: Path) -> None:
+    write_centre_line(tmp_path / "oval.csv", 0.05)
+    scenario = tmp_path / "own.toml"
+    scenario.write_text(
+        'name = "own"\nzones = [{start = 0.0, friction = 1.0}]\n'
+        '[track]\nkind = "csv"\nfile = "oval.csv"\nparameters = {scale = 4000}\n'
+    )
+    told = r"own.toml: track.file: an edge of \S*oval.csv is 1600 m from .* track.parameters.scale$"
+    with pytest.raises(ScenarioError, match=told):
+        load_scenario(str(scenario))
 
 
 def test_one_command_drives_a_circuit_of_ones_own(

@@ -70,12 +70,39 @@ def test_numbers_that_are_none_end_nothing_and_are_no_json() -> None:
     message.plan.extend([1.0, nan])
     fleet.status("f/car", message.SerializeToString(), 10.0)
     columns = {name: [0.0, nan] for name in ("left_x", "left_y", "right_x", "right_y", "friction")}
-    fleet.road("f/car", message_class("VehicleRoad")(**columns).SerializeToString())
+    fleet.road("f/car", message_class("VehicleRoad")(version=1, **columns).SerializeToString())
     car = fleet.vehicles["f/car"]
     assert car.road is None
     detail, _ = car.detail(0)
     json.dumps([json.loads(fleet.snapshot(10.0)), detail], allow_nan=False)
     assert "NaN" not in fleet.snapshot(10.0)
+
+
+def test_a_further_vehicle_takes_one_place_of_one_that_ended_or_is_silent_longest() -> None:
+    fleet = Fleet()
+    for number in range(1000):
+        fleet.status(f"f/{number}", status(), 10.0 + 1e-4 * number)
+    fleet.status("f/7", status(ended=True), 10.5)
+    fleet.status("f/new", status(), 10.6)  # none is silent yet, but one has ended
+    assert "f/new" in fleet.vehicles
+    assert "f/7" not in fleet.vehicles
+    fleet.status("f/early", status(), 10.7)
+    assert "f/early" not in fleet.vehicles
+    fleet.status("f/0", status(), 60.0)
+    for number in range(3):
+        fleet.status(f"f/late{number}", status(), 60.1)
+    assert len(fleet.vehicles) == 1000
+    assert {"f/0", "f/4", "f/late0", "f/late1", "f/late2"} < fleet.vehicles.keys()
+    assert not {"f/1", "f/2", "f/3"} & fleet.vehicles.keys()
+
+
+def test_a_message_of_another_version_is_not_kept() -> None:
+    fleet = Fleet()
+    message = message_class("VehicleStatus").FromString(status())
+    for version in (0, 2):
+        message.version = version
+        fleet.status("f/car", message.SerializeToString(), 10.0)
+    assert not fleet.vehicles
 
 
 def test_the_number_of_replicas_is_bounded() -> None:
@@ -122,7 +149,9 @@ def test_samples_and_roads_take_little_memory_and_reach_the_page_as_they_came() 
     message.step.weights.extend([0.25] * 64)
     payload = message.SerializeToString()
     names = ("left_x", "left_y", "right_x", "right_y", "friction")
-    road = message_class("VehicleRoad")(**{n: [0.5 * k for k in range(25_000)] for n in names})
+    road = message_class("VehicleRoad")(
+        version=1, **{n: [0.5 * k for k in range(25_000)] for n in names}
+    )
     described = road.SerializeToString()
     fleet.status("f/car", payload, 10.0)
     tracemalloc.start()
@@ -183,7 +212,7 @@ def test_the_length_of_a_road_is_bounded(points: int) -> None:
     fleet = Fleet()
     fleet.status("f/car", status(), 10.0)
     names = ("left_x", "left_y", "right_x", "right_y", "friction")
-    road = message_class("VehicleRoad")(**dict.fromkeys(names, [0.0] * points))
+    road = message_class("VehicleRoad")(version=1, **dict.fromkeys(names, [0.0] * points))
     fleet.road("f/car", road.SerializeToString())
     assert (fleet.vehicles["f/car"].road is not None) == (points == 25_000)
 

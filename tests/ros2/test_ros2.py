@@ -205,6 +205,22 @@ def test_a_drive_without_a_topic_for_commands_is_an_error() -> None:
     assert "no topic for commands" in str(result.exception)
 
 
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ("--odometry /odom --path /odom", "--odometry and --path are both /odom"),
+        ("--ackermann /x --control /x", "--ackermann and --control are both /x"),
+        ("--seconds nan", "--seconds is nan"),
+        ("--seconds -1", "--seconds is -1"),
+    ],
+)
+def test_what_cannot_be_driven_with_is_an_error_before_the_node_starts(
+    options: str, told: str
+) -> None:
+    result = CliRunner().invoke(app, ["ros2", *options.split()])
+    assert told in str(result.exception)
+
+
 SILENCE = 0.3
 
 

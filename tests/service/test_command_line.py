@@ -79,8 +79,7 @@ def test_a_signal_ends_a_drive_with_its_service_and_its_files(
         output, _ = process.communicate(timeout=PATIENCE)
         assert process.returncode == 128 + sent, output
         assert "Traceback" not in output
-        told = "Interrupted. What was recorded until then is in"
-        assert (told in output) == (sent == signal.SIGINT)
+        assert "Interrupted. What was recorded until then is in" in output
         wait_until(lambda: not group_lives(process.pid))
         assert not list((tmp_path / "temporary").iterdir())
         (run,) = runs.iterdir()

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 import zenoh
 
-from egp_service._core import RoadBelief
+from egp_service._core import EgpError, RoadBelief
 from egp_service.control.endpoints import free_endpoint
 from egp_service.control.fleet_map import FleetMap
 from egp_service.control.session import session_config
@@ -105,6 +105,16 @@ def test_a_service_that_accepts_no_evidence_now_is_there_and_gets_the_last_one(
     assert fleet.unsent == 2
     assert not fleet.silent
     assert "no map service answers" not in caplog.text
+
+
+def test_a_closed_map_is_an_error() -> None:
+    fleet = FleetMap(free_endpoint(), RoadBelief(PATH), road="r", vehicle="v", timeout=0.1)
+    fleet.close()
+    fleet.close()
+    assert fleet.origins == {}
+    for use in (fleet.fetch, fleet.exchange, fleet.__enter__):
+        with pytest.raises(EgpError, match="map was closed: make another"):
+            use()
 
 
 def test_no_query_waits_for_a_full_link(monkeypatch: pytest.MonkeyPatch) -> None:

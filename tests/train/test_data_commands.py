@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 from egp_service import EgpError, VehicleParameters
 from egp_service.cli import app
 from egp_service.control.toml_text import dumps
+from egp_service.data.coverage import Coverage
 from egp_service.data.dataset import Dataset
 from egp_service.training.recipe import Recipe
 from egp_service.vehicle import check_limits, known_vehicle
@@ -52,6 +53,27 @@ def test_an_input_is_not_overwritten(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert "vehicle.toml exists: state -o vehicle.toml to replace it" in failure(*fit)
     Path("vehicle.toml").unlink()
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_a_file_that_is_no_toml_is_told_alike_by_all(tmp_path: Path) -> None:
+    data, output = tmp_path / "own.parquet", ("-o", str(tmp_path / "output"))
+    surface().write(data)
+    (tmp_path / "own.toml").write_text(
+        'name = "own"\nvehicle_file = "own.parquet"\nzones = [{start = 0.0, friction = 1.0}]\n'
+        '[track]\nkind = "circle"\n'
+    )
+    for command in (
+        ("train", str(data), "--vehicle", str(data), *output),
+        ("train", "--recipe", str(data), *output),
+        ("vehicle", "fit", str(data), "--known", str(data), *output),
+        ("drive", "-s", str(tmp_path / "own.toml")),
+    ):
+        told = failure(*command)
+        assert told.endswith(f"{data}: expected a TOML file, got bytes that are no UTF-8 text")
+    nothing = tmp_path / "nothing.toml"
+    for option in ("--vehicle", "--recipe"):
+        told = failure("train", option, str(nothing), *output)
+        assert told == f"{nothing}: No such file or directory"
 
 
 def test_options_of_the_other_source_are_errors(tmp_path: Path) -> None:
@@ -181,6 +203,16 @@ def test_a_library_that_cannot_be_written_is_an_error_before_training(tmp_path: 
     assert "/proc/library.safetensors: no file can be written there" in told
 
 
+def test_one_member_is_counted_as_one(tmp_path: Path) -> None:
+    data, car, library = (tmp_path / name for name in ("d.parquet", "car.toml", "l.safetensors"))
+    surface(trajectories=8).write(data)
+    car.write_text(dumps(TOY.fields()), encoding="utf-8")
+    command = ["train", str(data), "--vehicle", str(car), "-o", str(library)]
+    result = CliRunner().invoke(app, [*command, "--mean", "constant", "--max-points", "20"])
+    assert result.exit_code == 0, result.output
+    assert f"{library}: 1 member, id " in " ".join(result.output.split())
+
+
 def test_a_dataset_that_cannot_be_written_is_an_error_before_it_is_collected(
     tmp_path: Path,
 ) -> None:
@@ -227,6 +259,22 @@ def test_an_accelerometer_does_not_feel_what_the_front_tyres_take(tmp_path: Path
     assert measured[0] > 0.08
     assert corrected[0] < 0.25 * measured[0]
     assert corrected[1] < 0.6 * measured[1]
+
+
+def test_a_file_that_describes_no_car_is_not_its_name(tmp_path: Path) -> None:
+    car = tmp_path / "own.parquet"
+    surface().write(car)
+    log = options(tmp_path / "log.csv", plant_log())
+    told = failure("collect", *log, "-o", str(tmp_path / "d.parquet"), "--vehicle", str(car))
+    assert told.startswith(f"--vehicle {car}: expected the name of a car, or a TOML file")
+
+
+def test_a_single_trajectory_is_as_long_as_the_data() -> None:
+    data = surface(trajectories=1)
+    for count, time in ((1, "0.05"), (11, "0.55"), (20, "1")):
+        part = data.select(np.arange(len(data)) < count)
+        told = next(Coverage.of(part).lines())
+        assert told == f"{time} s in 1 trajectory of at most {time} s"
 
 
 def test_a_file_is_named_once(tmp_path: Path) -> None:

@@ -113,7 +113,7 @@ def test_recipe_refuses_unknown_fields(tmp_path: Path) -> None:
         ("laps = 24", "laps = 0", "laps 1 or more"),
         ("episodes = 30", "noise = 0.5", "noise is 0.5: expected a value such as"),
         ("friction = 1.1", "friction = 0.5", "'mu 0.5' .*'mu 1.1' .* have the same one"),
-        ("mu 0.5", "\xb5", "can't decode"),
+        ("mu 0.5", "\xb5", "got bytes that are no UTF-8 text"),
     ],
 )
 def test_a_recipe_is_checked_when_it_is_read(

@@ -379,7 +379,7 @@ def test_several_logs_and_what_they_cover(tmp_path: Path) -> None:
     # Speeds are 12 to 18 m/s, the yaw rate reaches 0.3 rad/s: at most 5.4 m/s².
     assert covered.time[[2, 3]].sum() == pytest.approx(covered.seconds)
     assert covered.time[:, 5:].sum() == 0.0
-    assert f"{covered.seconds:.0f} s in 5 trajectories of at most" in result.output
+    assert f"{covered.seconds:.3g} s in 5 trajectories of at most" in result.output
     assert picture.stat().st_size > 10_000
     (tmp_path / "b.csv").write_text("t,speed\n")
     refused = CliRunner().invoke(app, command)

@@ -223,7 +223,7 @@ def test_the_yaw_inertia_is_as_uncertain_as_the_mass() -> None:
     assert f"{inertia.low:.4g} to {inertia.high:.4g}" in line.origin
     assert not line.warning
     coasting = file_lines(drive(DRY, WHOLE * [1, 1, 1, 1, 0.01, 1], 0.01, 0))
-    assert "not determined by the logs" in coasting["yaw_inertia"].warning
+    assert "not determined accurately by the logs" in coasting["yaw_inertia"].warning
 
 
 def test_errors_for_logs_that_give_no_vehicle() -> None:
@@ -237,6 +237,8 @@ def test_errors_for_logs_that_give_no_vehicle() -> None:
     blind = dataclasses.replace(data, z=data.z * [1, 0, 1, 1, 1, 1], y=data.y * [1, 0, 1])
     with pytest.raises(EgpError, match=f"{data.provenance.surface}: d_v_y never changes"):
         vehicle_lines([data, blind])
+    with pytest.raises(EgpError, match=r"has 28 transitions, which are 1\.4 s .* at least 10 s"):
+        vehicle_lines([data, data.select(np.arange(1500) < 28)])
     with pytest.raises(EgpError, match=r"d_v_x is [-\d.e+]+ in a row of the training data"):
         vehicle_lines([dataclasses.replace(data, y=1e6 * data.y)])
 

@@ -60,8 +60,8 @@ DRAWN = {"Friction": [GREY, ORANGE, BLUE, GREEN], "Map": [ORANGE, BLUE, (244, 24
 Columns = dict[str, list[Any]]
 
 
-def view(*arguments: str | Path) -> str:
-    result = CliRunner().invoke(app, ["view", *map(str, arguments)])
+def view(*arguments: str | Path, **environment: str) -> str:
+    result = CliRunner().invoke(app, ["view", *map(str, arguments)], env=environment)
     assert result.exit_code == 0, result.output + repr(result.exception)
     return result.output
 
@@ -147,7 +147,8 @@ def test_curves_have_the_values_of_the_recording(run: Path, tmp_path: Path) -> N
 
 
 def test_the_map_has_road_car_and_plans_of_the_recording(run: Path, tmp_path: Path) -> None:
-    view(run, "--save", tmp_path / "run.rrd")
+    shown = view(run, "--save", tmp_path / "run.rrd", FORCE_COLOR="1")
+    assert shown.index("Reading ...") < shown.index("Writing ...") < shown.index("Saved")
     saved, recorded = entities(tmp_path / "run.rrd"), topics(run)
     ((_, scene),) = recorded["/scene"]
     road, car = scene.entities
@@ -243,6 +244,7 @@ def test_the_folder_of_a_drive_stands_for_its_recording(run: Path, tmp_path: Pat
 def test_other_files_and_names_are_errors(run: Path, tmp_path: Path) -> None:
     target = tmp_path / "run.rrd"
     assert "ends in .rrd" in failure(run, "--save", tmp_path / "run.bin")
+    assert f"such as {tmp_path / 'run.rrd'}" in failure(run, "--save", tmp_path)
     head = tmp_path / "head.mcap"
     head.write_bytes(run.read_bytes()[:3000])
     assert "found 0 steps" in failure(head, "--save", target)

@@ -17,7 +17,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 use std::{fs, io, thread};
 
-use clap::Parser;
+use clap::{CommandFactory as _, FromArgMatches as _, Parser};
 use egp_simulator::{Course, Track};
 use egp_wire::{Interrupt, print_line, survive_file_size_limit};
 use serde::Serialize;
@@ -109,16 +109,21 @@ struct Arguments {
     #[arg(long, default_value_t = 0.8, value_parser = fraction)]
     budget: f64,
     /// Track: rectangle or l-shape.
-    #[arg(long, default_value = "rectangle")]
+    #[arg(long, default_value = "rectangle", conflicts_with = "requests")]
     track: Track,
     /// Friction coefficients along the track.
-    #[arg(long, value_delimiter = ',', default_value = "0.5,0.8,1.1")]
+    #[arg(
+        long,
+        value_delimiter = ',',
+        default_value = "0.5,0.8,1.1",
+        conflicts_with = "requests"
+    )]
     friction: Vec<f64>,
     /// Fraction of the grip to drive at, in (0, 1].
-    #[arg(long, default_value_t = 0.7)]
+    #[arg(long, default_value_t = 0.7, conflicts_with = "requests")]
     grip: f64,
     /// Let the vehicles publish how they drive, for `egp monitor`.
-    #[arg(long)]
+    #[arg(long, conflicts_with = "requests")]
     status: bool,
     /// Write the report as JSON to this file.
     #[arg(long)]
@@ -166,6 +171,9 @@ type Failure = Box<dyn std::error::Error + Send + Sync>;
 fn run(arguments: &Arguments) -> Result<u8, Failure> {
     survive_file_size_limit()?;
     // A measurement is not lost because its report cannot be written.
+    if let Some(path) = arguments.json.as_deref().filter(|path| path.is_dir()) {
+        return Err(unwritten(path, &io::ErrorKind::IsADirectory.into()).into());
+    }
     if let Some(path) = &arguments.json
         && let Some(folder) = path.parent().filter(|folder| *folder != Path::new(""))
     {
@@ -196,7 +204,7 @@ fn run(arguments: &Arguments) -> Result<u8, Failure> {
     }
 }
 
-/// Writes a result as JSON if that is asked for, and prints it, unless Ctrl-C came before anything was measured.
+/// Prints a result, and writes it as JSON if that is asked for, unless Ctrl-C came before anything was measured.
 fn report(
     arguments: &Arguments,
     nothing_measured: bool,
@@ -206,12 +214,13 @@ fn report(
         eprintln!("egp-load: interrupted before the measurement began");
         return Ok(());
     }
-    if let Some(path) = &arguments.json {
+    // Each is done although the other one fails.
+    let written = arguments.json.as_deref().map_or(Ok(()), |path| {
         let json = serde_json::to_vec_pretty(result)?;
-        write_report(path, &json).map_err(|error| unwritten(path, &error))?;
-    }
+        write_report(path, &json).map_err(|error| unwritten(path, &error).into())
+    });
     print_line(result)?;
-    Ok(())
+    written
 }
 
 /// Writes a report beside the file and then in its place, so that an earlier one stays if it cannot be written. What is no
@@ -291,7 +300,14 @@ fn drive_all(arguments: &Arguments) -> Result<(Report, bool), Failure> {
 /// code: 0 after a measurement, 1 if it failed or no request was solved, 2 for arguments that cannot be used, and 130 after
 /// Ctrl-C. In a ramp, answers that come too late are a result.
 pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
-    let arguments = match Arguments::try_parse_from(arguments) {
+    let mut words = arguments.into_iter();
+    let name = words.next().unwrap_or_else(|| "egp-load".into());
+    // By itself clap would state an option that has a default value as one that is needed.
+    let file = Path::new(&name).file_name().unwrap_or(&name);
+    let usage = format!("{} [OPTIONS]", file.display());
+    let command = Arguments::command().override_usage(usage);
+    let matches = command.try_get_matches_from([name].into_iter().chain(words));
+    let arguments = match matches.and_then(|matches| Arguments::from_arg_matches(&matches)) {
         Ok(arguments) => arguments,
         Err(answer) => {
             // Printing fails if the terminal was closed; there is no other place for the message.

@@ -154,6 +154,30 @@ fn a_measurement_takes_time() {
 }
 
 #[test]
+fn a_folder_in_place_of_the_report_is_an_error_before_the_measurement() {
+    let output = Command::new(env!("CARGO_BIN_EXE_egp-load"))
+        .args(["--json", env!("CARGO_TARGET_TMPDIR")])
+        .output()
+        .unwrap();
+    let told = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    assert!(
+        told.contains("cannot write the report") && told.contains("is a directory"),
+        "{told}"
+    );
+}
+
+#[test]
+fn the_usage_asks_for_no_option_that_has_a_default() {
+    let output = Command::new(env!("CARGO_BIN_EXE_egp-load"))
+        .arg("--nonsense")
+        .output()
+        .unwrap();
+    let told = String::from_utf8(output.stderr).unwrap();
+    assert!(told.contains("egp-load [OPTIONS]\n"), "{told}");
+}
+
+#[test]
 fn the_report_is_kept_although_nobody_reads_the_result() {
     let (_server, endpoint) = serve(|_| {});
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR"));

@@ -166,7 +166,8 @@ def _library(file: Path) -> list[Check]:
         return [Check("library", "fail", reason, advice)]
     points = sum(member.n_points for member in loaded.members)
     names = ", ".join(member.label for member in loaded.members)
-    found = f"{file.name}: {len(loaded.members)} members ({names}), {points} points, verified"
+    noun = "member" if len(loaded.members) == 1 else "members"
+    found = f"{file.name}: {len(loaded.members)} {noun} ({names}), {points} points, verified"
     return [Check("library", "ok", found), _step_time(file, loaded)]
 
 

@@ -6,13 +6,12 @@ import json
 import math
 from typing import TYPE_CHECKING, Final
 
-from rich import box
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from egp_service._core import Library
-from egp_service.cli.tables import vehicle_table
+from egp_service.cli.tables import narrow_table, vehicle_table
 from egp_service.quantities import GP_INPUT, GP_OUTPUT
 
 if TYPE_CHECKING:
@@ -109,15 +108,8 @@ def summary(path: Path, library: Library) -> Table:
 
 def members(members: Iterable[Member]) -> Table:
     """Return a table with a row for each surface."""
-    table = Table(
-        "member",
-        "friction",
-        "peak slip rad",
-        "points",
-        "dataset",
-        title="Surfaces",
-        box=box.SIMPLE_HEAD,
-    )
+    heads = ("member", "friction", "peak slip rad", "points", "dataset")
+    table = narrow_table(*heads, wrapped=("member",), title="Surfaces")
     for member in members:
         table.add_row(
             escape(member.label),
@@ -135,14 +127,8 @@ def hyperparameters(member: Member) -> Table:
     Inputs with long lengthscales have little effect. `scale` is the prior standard deviation and
     `noise` that of the noise, in output units.
     """
-    table = Table(
-        "output",
-        *GP_INPUT,
-        "scale",
-        "noise",
-        title=escape(f"{member.label}: lengthscales (in standard deviations of the input)"),
-        box=box.SIMPLE_HEAD,
-    )
+    title = escape(f"{member.label}: lengthscales (in standard deviations of the input)")
+    table = narrow_table("output", *GP_INPUT, "scale", "noise", title=title)
     values = zip(
         (f"{name} {unit}" for name, unit in GP_OUTPUT.items()),
         member.lengthscales,
@@ -170,11 +156,11 @@ def vehicle(
     heads, cells = [*BODY[: len(values)]], values[: len(BODY)]
     if resistance is not None and resistance.any():
         heads, cells = [*heads, *RESISTANCE], [*cells, *(f"{value:.3g}" for value in resistance)]
-    body = Table(*heads, title=escape(f"{label}: the vehicle"), box=box.SIMPLE_HEAD)
-    body.add_row(*cells)
+    body = narrow_table("", *heads, title=escape(f"{label}: the vehicle"))
+    body.add_row("body", *cells)
     if len(values) <= len(BODY):
         return (body,)
-    axles = Table("", *AXLE, box=box.SIMPLE_HEAD)
+    axles = narrow_table("", *AXLE)
     for number, name in enumerate(("front", "rear")):
         start = len(BODY) + number * len(AXLE)
         axles.add_row(name, *values[start : start + len(AXLE)])
@@ -183,12 +169,9 @@ def vehicle(
 
 def envelope(member: Member) -> Table:
     """Return a table with the ranges of the training inputs."""
-    table = Table(
-        "",
-        *(f"{name} {unit}" for name, unit in GP_INPUT.items()),
-        title=escape(f"{member.label}: envelope of the training inputs"),
-        box=box.SIMPLE_HEAD,
-    )
+    heads = (f"{name} {unit}" for name, unit in GP_INPUT.items())
+    title = escape(f"{member.label}: envelope of the training inputs")
+    table = narrow_table("", *heads, title=title)
     for name, bound in zip(("min", "max"), member.envelope, strict=True):
         table.add_row(name, *(f"{value:.4g}" for value in bound))
     return table

@@ -53,7 +53,8 @@ def evaluate_on(console: Console, logs: Sequence[Path], vehicle: Path | None, ou
         outcomes = evaluate_logs(datasets, car, TrainingSettings(mean="best"), report)
     for outcome, picture in zip(outcomes, pictures, strict=True):
         _show(console, outcome)
-        draw_log(outcome, picture)
+        with console.status("Drawing ..."):
+            draw_log(outcome, picture)
         console.print(f"Look at {picture}", markup=False, highlight=False)
 
 

@@ -68,8 +68,10 @@ def check_writable(*files: Path | None) -> None:
     for file in files:
         if file is None:
             continue
-        folder = None if file.is_dir() else destination(file).parent
-        if folder is None or not folder.is_dir():
+        if file.is_dir():
+            raise EgpError(f"{file} is a folder: name a file in it")
+        folder = destination(file).parent
+        if not folder.is_dir():
             raise EgpError(f"{file}: expected a file in a folder that exists")
         try:
             with TemporaryFile(dir=folder):

@@ -100,9 +100,10 @@ def working(console: Console, what: str) -> Iterator[None]:
 def fitting(console: Console) -> Iterator[Callable[[FitProgress], None]]:
     """Show one bar over all fits with the present loss and the remaining time.
 
-    The bar jumps when a fit converges early, so the remaining time is an upper bound.
+    The bar jumps when a fit converges early, so the remaining time is an upper bound. Before the
+    first fit there is a line without a bar, which an error in the data removes.
     """
-    with Progress(
+    progress = Progress(
         TextColumn("{task.description}", markup=False),
         BarColumn(),
         TextColumn("loss {task.fields[loss]:8.4f}"),
@@ -110,20 +111,23 @@ def fitting(console: Console) -> Iterator[Callable[[FitProgress], None]]:
         TextColumn("at most"),
         TimeRemainingColumn(),
         console=console,
-    ) as progress:
-        # It is shown when there is something to say, and so not above an error in the data.
-        task = progress.add_task("training", total=None, loss=float("nan"), visible=False)
+    )
+    task = progress.add_task("training", total=None, loss=float("nan"))
+    with contextlib.ExitStack() as shown:
+        shown.enter_context(console.status("Preparing the data ..."))
 
         def report(step: FitProgress) -> None:
+            if not progress.live.is_started:
+                shown.close()
+                shown.enter_context(progress)
             progress.update(
                 task,
                 description=step.stage,
                 completed=step.done,
                 total=step.total,
                 loss=step.loss,
-                visible=True,
             )
 
         yield report
-        shown = progress.tasks[0]
-        progress.update(task, description="trained", completed=shown.total or 1, total=shown.total)
+        total = progress.tasks[0].total
+        progress.update(task, description="trained", completed=total or 1, total=total)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from egp_service.control.endpoints import check_endpoints, why_unreachable
+from egp_service.control.endpoints import MONITOR_PORT, check_endpoints, why_unreachable
 from egp_service.control.status import StatusPublisher
 from egp_service.simulation.course import build_path
 from egp_service.simulation.recording import plant_truth
@@ -40,7 +40,7 @@ def publication(
     if endpoint is None:
         yield lambda _: None
         return
-    check_endpoints([endpoint])
+    check_endpoints([endpoint], MONITOR_PORT)
     if reason := why_unreachable(endpoint):
         console.print(
             f"No program listens at {endpoint} ({reason}), so that no page shows this drive; start "

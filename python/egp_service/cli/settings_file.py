@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Final
 
 from egp_service._core import EgpError, check_settings
 from egp_service.cli.settings_text import read_settings_document
+from egp_service.files import read_toml
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -29,12 +29,11 @@ def read_settings(path: Path) -> dict[str, object]:
     """Read settings of the control step; `egp settings` lists them.
 
     Raises:
-        EgpError: naming the file and its line for text that is no TOML, and for settings that do
+        EgpError: naming the file, if it cannot be read or is not TOML, and for settings that do
             not exist or have the wrong type or value.
-        OSError: if the file cannot be read.
 
     """
-    text, table = _table(path)
+    text, table = read_toml(path)
     if found := sorted(_keys("Service") & set(table)):
         raise EgpError(
             f"{path}: `{found[0]}` belongs to the configuration of a service; give the file with "
@@ -54,12 +53,11 @@ def read_service(path: Path) -> dict[str, object]:
     Its relative paths start at the file's folder.
 
     Raises:
-        EgpError: naming the file for text that is no TOML, and for settings of the control step
-            outside the table `settings`.
-        OSError: if the file cannot be read.
+        EgpError: naming the file, if it cannot be read or is not TOML, and for settings of the
+            control step outside the table `settings`.
 
     """
-    _, table = _table(path)
+    _, table = read_toml(path)
     found = sorted(_keys("Control step") & set(table))
     if found and "library" not in table and "settings" not in table:
         raise EgpError(
@@ -75,11 +73,10 @@ def read_map(path: Path) -> dict[str, object]:
     Its relative paths start at the file's folder.
 
     Raises:
-        EgpError: naming the file for text that is no TOML.
-        OSError: if the file cannot be read.
+        EgpError: naming the file, if it cannot be read or is not TOML.
 
     """
-    return _with_folder(_table(path)[1], path.parent)
+    return _with_folder(read_toml(path)[1], path.parent)
 
 
 @contextmanager
@@ -123,13 +120,3 @@ def _with_folder(table: dict[str, object], folder: Path) -> dict[str, object]:
     if isinstance(libraries := table.get("libraries"), list):
         paths["libraries"] = [str(folder / str(file)) for file in libraries]
     return table | paths
-
-
-def _table(path: Path) -> tuple[str, dict[str, object]]:
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-        return text, tomllib.loads(text)
-    except UnicodeDecodeError as error:
-        raise EgpError(f"{path}: expected a TOML file, got bytes that are no UTF-8 text") from error
-    except tomllib.TOMLDecodeError as error:
-        raise EgpError(f"{path} is not TOML: {error}") from error

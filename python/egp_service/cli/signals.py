@@ -43,10 +43,10 @@ def check() -> None:
 
 @contextmanager
 def naming_folder(console: Console, folder: Path) -> Iterator[None]:
-    """Say after Ctrl-C that what was recorded until then is in a folder."""
+    """Say after Ctrl-C and other signals that what was recorded until then is in a folder."""
     try:
         yield
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemExit):
         told = f"Interrupted. What was recorded until then is in {folder}"
         console.print(told, markup=False, soft_wrap=True)
         raise

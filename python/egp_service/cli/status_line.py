@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Self
 
+from rich.cells import cell_len
 from rich.live import Live
 from rich.text import Text
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
 MODE_STYLES = {"normal": "green", "tail": "yellow", "stop": "bold red", "waiting": "cyan"}
 BLOCKS = " ▁▂▃▄▅▆▇█"
+GAP = "  "
 
 
 class StatusLine:
@@ -38,15 +40,27 @@ class StatusLine:
     def show(self, label: str, period: Period) -> None:
         """Show a period of the run called `label`; raise what a signal raised, if that was lost."""
         signals.check()
-        truth, step = period.truth, period.step
-        bars = "".join(BLOCKS[round(w * (len(BLOCKS) - 1))] for w in step.weights)
-        line = Text.assemble(
-            (f"{label}  ", "bold"),
-            f"{truth.time:6.2f} s  {truth.distance:6.1f} m  {truth.x[V_X]:5.1f} m/s  ",
-            f"lateral {truth.lateral_error:+.2f} m  μ {truth.friction:.2f}  weights ",
-            (bars, "cyan"),
-            f"  step {1e3 * step.timings.total:5.1f} ms  ",
-            (step.mode, MODE_STYLES[step.mode]),
-        )
-        line.no_wrap, line.overflow = True, "ellipsis"
-        self._live.update(line)
+        self._live.update(status_text(label, period, self._live.console.width))
+
+
+def status_text(label: str, period: Period, columns: int) -> Text:
+    """Return what fits of a period into this number of columns, the most important things first."""
+    truth, step = period.truth, period.step
+    bars = "".join(BLOCKS[round(w * (len(BLOCKS) - 1))] for w in step.weights)
+    parts = (
+        (f"{step.mode:6}", MODE_STYLES[step.mode]),
+        (f"{truth.time:5.1f} s", ""),
+        (f"{truth.distance:4.0f} m", ""),
+        (f"{truth.x[V_X]:4.1f} m/s", ""),
+        (f"lateral {truth.lateral_error:+.2f} m", ""),
+        (f"μ {truth.friction:.2f}", ""),
+        (bars, "cyan"),  # the weights
+        (label, "bold"),
+        (f"step {1e3 * step.timings.total:3.0f} ms", ""),
+    )
+    line = Text(no_wrap=True)
+    for part, style in parts:
+        gap = GAP if line else ""
+        if line.cell_len + cell_len(gap + part) <= columns:
+            line.append(gap).append(part, style)
+    return line

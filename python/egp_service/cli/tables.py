@@ -26,8 +26,11 @@ if TYPE_CHECKING:
 _SYMBOLS: Final = (
     "m in kg; l_f, l_r, height h in m; k² = I_z / m in m²; D, B, C: peak, stiffness and shape of "
     "the front (f) and rear (r) tyres' lateral force; D_d, D_b: friction for drive and braking; e: "
-    "how much these reduce the lateral force; c_0: rolling resistance in m/s², c_2: drag in 1/m. "
-    "From prior: in standard deviations of the prior. The intervals tell how well the data "
+    "how much these reduce the lateral force"
+)
+_RESISTANCE: Final = "; c_0: rolling resistance in m/s², c_2: drag in 1/m"
+_INTERVALS: Final = (
+    ". From prior: in standard deviations of the prior. The intervals tell how well the data "
     "determine these numbers; the error of the single-track equations is not in them "
     "(docs/your-car.md)."
 )
@@ -79,6 +82,12 @@ def summary_table(rows: Sequence[tuple[str, Summary]]) -> Table:
 def _milliseconds(time: float) -> str:
     """Return a time of less than 1 ms to the microsecond, and a longer one to 0.1 ms."""
     return f"{time:.3f}" if time < 1.0 else f"{time:.1f}"
+
+
+def why_ended(summary: Summary) -> str | None:
+    """Say what the table leaves out of the reason for an early end; `None` if it has all of it."""
+    reason = summary.ending.reason
+    return f"The run ended early. {reason[0].upper()}{reason[1:]}" if ":" in reason else None
 
 
 def no_plan(summary: Summary) -> str | None:
@@ -144,7 +153,7 @@ def vehicle_table(label: str, parameters: Mapping[str, Mapping[str, float | bool
         wrapped=("",),
         title=escape(f"{label}: the fitted vehicle"),
     )
-    table.caption = _SYMBOLS
+    table.caption = _SYMBOLS + (_RESISTANCE if "c_0" in parameters else "") + _INTERVALS
     table.caption_justify = "left"
     for name, found in parameters.items():
         remarks = []

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import time
 import warnings
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -34,10 +35,10 @@ from egp_service.control.session import (
     session_config,
     zenoh_reason,
 )
-from egp_service.control.step import StepController
+from egp_service.control.step import StepController, as_dict
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping
 
     from egp_service._core import Query
     from egp_service.control.step import Measured
@@ -132,13 +133,20 @@ class VehicleClient(StepController):
         the vehicle that this replica plans for can do.
 
         Raises:
+            TypeError: for endpoints or gate settings of another type.
             InvalidArgumentError: for names, gate settings, a timeout, a configuration, or a file of
                 keys or traces that cannot be used.
             ServiceUnreachableError: naming each replica with the reason, when no replica gives a
                 usable answer within `timeout` seconds.
 
         """
+        if not isinstance(endpoints, str | Sequence):
+            raise TypeError(
+                "endpoints: expected a text such as 'tcp/127.0.0.1:7447' or a sequence of texts, "
+                f"got an object of the type {type(endpoints).__name__}"
+            )
         names = [endpoints] if isinstance(endpoints, str) else list(endpoints)
+        gate = as_dict(gate)
         if not (names or zenoh_file or zenoh_config):
             raise InvalidArgumentError(
                 "endpoints: expected at least one, such as 'tcp/127.0.0.1:7447', or a zenoh_file"

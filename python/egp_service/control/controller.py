@@ -7,6 +7,7 @@ import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 from egp_service._core import (
@@ -16,7 +17,7 @@ from egp_service._core import (
     InvalidArgumentError,
     check_settings,
 )
-from egp_service.control.step import StepController
+from egp_service.control.step import StepController, as_dict
 from egp_service.control.toml_text import dumps
 
 if TYPE_CHECKING:
@@ -69,14 +70,24 @@ class Controller(StepController):
         self.library, self.members = engine.library_id, engine.members
         self.frictions = engine.frictions
         self.dt, self.horizon, self.history = engine.dt, engine.horizon, engine.history
-        self.settings = tomllib.loads(engine.settings_toml)
-        self.stated_settings = tomllib.loads(text)
+        self.settings = _read_only(tomllib.loads(engine.settings_toml))
+        self.stated_settings = _read_only(tomllib.loads(text))
         self.library_file = Path(library).absolute()
-        self._driver = InProcessDriver(engine, gate=gate, want_sigma=want_sigma)
+        self._driver = InProcessDriver(engine, gate=as_dict(gate), want_sigma=want_sigma)
 
     def _decide(self, start: float, budget: float, measured: Measured) -> Decision:
         del start  # the driver needs no time, because the engine is in this process
         return self._driver.step(budget, *measured)
+
+
+def _read_only(settings: Mapping[str, object]) -> Mapping[str, object]:
+    """Return settings whose tables cannot be changed."""
+    return MappingProxyType(
+        {
+            name: _read_only(value) if isinstance(value, Mapping) else value
+            for name, value in settings.items()
+        }
+    )
 
 
 def _text(settings: str | Mapping[str, object] | Path) -> str:

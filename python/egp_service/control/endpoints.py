@@ -16,10 +16,11 @@ if TYPE_CHECKING:
 SERVICE_PORT: Final = 7447
 MAP_PORT: Final = 7448
 ROUTER_PORT: Final = 7449
+MONITOR_PORT: Final = 7450
 SERVICE_ENDPOINT: Final = f"tcp/127.0.0.1:{SERVICE_PORT}"
 MAP_ENDPOINT: Final = f"tcp/127.0.0.1:{MAP_PORT}"
 ROUTER_ENDPOINT: Final = f"tcp/127.0.0.1:{ROUTER_PORT}"
-MONITOR_ENDPOINT: Final = "tcp/127.0.0.1:7450"
+MONITOR_ENDPOINT: Final = f"tcp/127.0.0.1:{MONITOR_PORT}"
 """Where `egp serve`, `egp map`, `egp router` and `egp monitor` listen unless an option says
 otherwise."""
 ROS_ROUTER_ENDPOINT: Final = "tcp/127.0.0.1:7447"
@@ -37,11 +38,12 @@ _given: Final[set[int]] = set()
 _TCP: Final = re.compile(r"(?:tcp|tls)/\[?(?P<host>[^\]/]*)\]?:(?P<port>\d+)([?#].*)?")
 
 
-def check_endpoints(endpoints: Sequence[str]) -> None:
+def check_endpoints(endpoints: Sequence[str], port: int = SERVICE_PORT) -> None:
     """Check the form `PROTOCOL/ADDRESS`, and `HOST:PORT` where this is the form of addresses.
 
     Raises:
-        InvalidArgumentError: naming the first endpoint of another form, or with a larger port.
+        InvalidArgumentError: naming the first endpoint of another form, or with a larger port, and
+            the endpoint that was probably meant, which has this `port` unless one is stated.
 
     """
     for endpoint in endpoints:
@@ -49,7 +51,7 @@ def check_endpoints(endpoints: Sequence[str]) -> None:
         if form is None:
             raise InvalidArgumentError(
                 f"endpoint {endpoint!r}: expected PROTOCOL/ADDRESS; did you mean "
-                f"{_completed(endpoint)!r}?"
+                f"{_completed(endpoint, port)!r}?"
             )
         if form["protocol"] not in _HOST_PROTOCOLS:
             continue
@@ -57,7 +59,7 @@ def check_endpoints(endpoints: Sequence[str]) -> None:
         if address is None:
             raise InvalidArgumentError(
                 f"endpoint {endpoint!r}: expected {form['protocol']}/HOST:PORT; did you mean "
-                f"{_completed(endpoint)!r}?"
+                f"{_completed(endpoint, port)!r}?"
             )
         if int(address["port"]) > _LARGEST_PORT:
             raise InvalidArgumentError(
@@ -65,7 +67,7 @@ def check_endpoints(endpoints: Sequence[str]) -> None:
             )
 
 
-def _completed(endpoint: str) -> str:
+def _completed(endpoint: str, usual: int) -> str:
     """Give the endpoint that was probably meant: with a protocol, a host and a port."""
     before, _, address = endpoint.lower().rstrip("/").rpartition("/")
     if address in _HOST_PROTOCOLS:
@@ -76,19 +78,21 @@ def _completed(endpoint: str) -> str:
         address = f"[{address}]"
     host, port = _PARTS.match(address).groups()  # type: ignore[union-attr]  # it matches any text
     if not port or int(port) > _LARGEST_PORT:
-        port = SERVICE_PORT
+        port = usual
     protocol = before if before in _HOST_PROTOCOLS else "tcp"
     return f"{protocol}/{host or '127.0.0.1'}:{port}"
 
 
-def check_free(endpoints: Sequence[str]) -> None:
-    """Check that a service can listen on the TCP ports among `endpoints`.
+def check_free(endpoints: Sequence[str], port: int = SERVICE_PORT) -> None:
+    """Check that a program can listen on the TCP ports among `endpoints`.
+
+    An endpoint that is suggested in place of another form has this `port`.
 
     Raises:
         EgpError: if a port is in use or may not be used, or the host has no such address.
 
     """
-    check_endpoints(endpoints)
+    check_endpoints(endpoints, port)
     for endpoint in endpoints:
         reason = why_not_free(endpoint)
         if reason is not None:

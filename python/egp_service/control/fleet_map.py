@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final, Self
 import zenoh
 
 from egp_service._core import EgpError, FleetExchange, FleetNotice
+from egp_service.control.endpoints import MAP_PORT, check_endpoints
 from egp_service.control.inbox import Inbox
 from egp_service.control.session import direct, open_session, session_config, zenoh_reason
 
@@ -62,6 +63,7 @@ class FleetMap:
             EgpError: if zenoh opens no session.
 
         """
+        check_endpoints([endpoint], MAP_PORT)
         config = session_config([endpoint], timeout, zenoh_config or {}, zenoh_file)
         self._exchange = FleetExchange(
             time.monotonic(),
@@ -73,6 +75,7 @@ class FleetMap:
             timeout=timeout,
         )
         self._inbox: Inbox[Callable[[], None]] = Inbox()
+        self._closed = False
         try:
             self._session = open_session(config, timeout)
         except zenoh.ZError as error:
@@ -84,13 +87,25 @@ class FleetMap:
         )
 
     def fetch(self) -> bool:
-        """Ask for all tiles and wait for them; return whether a map service answered."""
+        """Ask for all tiles and wait for them; return whether a map service answered.
+
+        Raises:
+            EgpError: if the map was closed.
+
+        """
+        self._check_open()
         self._exchange.fetch(time.monotonic())
         self._wait()
         return not self._exchange.silent
 
     def exchange(self) -> None:
-        """Use what has arrived, and once a second send what changed; returns at once."""
+        """Use what has arrived, and once a second send what changed; returns at once.
+
+        Raises:
+            EgpError: if the map was closed.
+
+        """
+        self._check_open()
         for _ in range(_EVENTS):
             event = self._inbox.get(0.0)
             if event is None:
@@ -121,6 +136,9 @@ class FleetMap:
 
     def close(self) -> None:
         """Send the last evidence and close the session; `unsent` states what could not be sent."""
+        if self._closed:
+            return
+        self._closed = True
         try:
             self._exchange.finish(time.monotonic())
             self._wait()
@@ -130,11 +148,16 @@ class FleetMap:
 
     def __enter__(self) -> Self:
         """Return the map."""
+        self._check_open()
         return self
 
     def __exit__(self, *_: object) -> None:
         """Send the last evidence and close the session."""
         self.close()
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise EgpError("the fleet's map was closed: make another FleetMap")
 
     def _wait(self) -> None:
         """Handle events until the exchange no longer waits for any."""

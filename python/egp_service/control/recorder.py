@@ -8,9 +8,11 @@ from __future__ import annotations
 import json
 import math
 import platform
+from collections.abc import Mapping
 from contextlib import ExitStack, contextmanager
 from importlib.metadata import version
 from itertools import starmap
+from numbers import Real
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Final, Self, cast
 
@@ -27,18 +29,17 @@ from mcap_protobuf.schema import register_schema
 
 from egp_service._core import InvalidArgumentError, vector_instructions
 from egp_service.control.messages import message_class
+from egp_service.control.step import Step, StepController
 from egp_service.control.step_record import measured_state, step_record
 from egp_service.control.toml_text import dumps
 from egp_service.files import replacing
 from egp_service.quantities import P_X, P_Y, PSI
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
 
     from google.protobuf.message import Message
     from numpy.typing import ArrayLike, NDArray
-
-    from egp_service.control.step import Step, StepController
 
 NANOSECONDS: Final = 1_000_000_000
 LATEST: Final = 2**63 / NANOSECONDS
@@ -83,10 +84,12 @@ class Recorder:
 
         Raises:
             OSError: if the file cannot be written; a file that is there then stays as it is.
+            TypeError: for a controller or notes of another type.
             InvalidArgumentError: for notes that are no texts or have the name of a record of the
                 recorder; a file that is there then stays as it is.
 
         """
+        _check_type("controller", controller, StepController)
         about = _about(controller) | _checked_notes(notes or {})
         self._path = path
         self._channels: dict[str, int] = {}
@@ -111,12 +114,14 @@ class Recorder:
         rad, `time` the time since the start of the recording in s.
 
         Raises:
+            TypeError: for a step or a time of another type.
             InvalidArgumentError: for a time that is negative, below that of the step before, above
                 292 years or not finite, for a state of another shape, and after the end of the
                 recording; nothing is then recorded.
             OSError: if the file cannot be written to, which ends the recording.
 
         """
+        _check_type("step", step, Step)
         state = self._checked(x, time)
         request, reply = message_class("StepRequest"), message_class("StepReply")
         replies = [*step.late, *([] if step.reply is None else [step.reply])]
@@ -165,6 +170,7 @@ class Recorder:
             raise InvalidArgumentError(
                 f"the recording has ended, because {self._ended}: make another `Recorder`"
             )
+        _check_type("time", time, Real)
         if not 0.0 <= time < LATEST:
             raise InvalidArgumentError(
                 f"expected for time the seconds since the start of the recording, from 0 to less "
@@ -282,6 +288,7 @@ def _described(
 
 def _checked_notes(notes: Mapping[str, Mapping[str, str]]) -> dict[str, dict[str, str]]:
     """Return the notes if they can be written."""
+    _check_type("notes", notes, Mapping)
     checked = {}
     for name, texts in notes.items():
         if name in (ABOUT, SETTINGS):
@@ -302,6 +309,14 @@ def timestamp(time: float) -> Timestamp:
     stamp = Timestamp()
     stamp.FromNanoseconds(round(time * NANOSECONDS))
     return stamp
+
+
+def _check_type(name: str, value: object, expected: type) -> None:
+    if not isinstance(value, expected):
+        raise TypeError(
+            f"{name}: expected {expected.__name__}, got an object of the type "
+            f"{type(value).__name__}"
+        )
 
 
 def _about(controller: StepController) -> dict[str, dict[str, str]]:

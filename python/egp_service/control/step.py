@@ -6,16 +6,17 @@ import math
 import threading
 import time
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final, Literal, Self, TypeAlias
+from typing import TYPE_CHECKING, Final, Literal, Never, Self, TypeAlias
 
 import numpy as np
 
 from egp_service._core import EgpError, Friction
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
     from _typeshed import DataclassInstance
@@ -28,6 +29,20 @@ if TYPE_CHECKING:
     period."""
 
 
+_FIXED: Final = frozenset(
+    {
+        "dt",
+        "frictions",
+        "history",
+        "horizon",
+        "library",
+        "library_file",
+        "members",
+        "settings",
+        "stated_settings",
+    }
+)
+"""Attributes of a controller that describe its control step."""
 _LONGEST: Final = 10.0
 """Largest time for a step that a request states, s."""
 
@@ -213,6 +228,18 @@ class StepController(ABC):
     """The library file, if it is known."""
     _driver: Driver | InProcessDriver
 
+    def __setattr__(self, name: str, value: object) -> None:
+        """Set an attribute; what describes the control step can be set once only."""
+        if name in _FIXED and name in vars(self):
+            raise AttributeError(f"{name} of a controller cannot be changed: make another one")
+        super().__setattr__(name, value)
+
+    def __reduce__(self) -> Never:
+        """Raise `TypeError`."""
+        raise TypeError(
+            f"a {type(self).__name__} cannot be pickled or copied: make one in each process"
+        )
+
     def __init__(self) -> None:
         """Make what all controllers have."""
         # The lock is re-entrant: a signal handler may call a method while another one runs.
@@ -316,3 +343,18 @@ class StepController(ABC):
     def __exit__(self, *_: object) -> None:
         """Close."""
         self.close()
+
+
+def as_dict(gate: Mapping[str, float]) -> dict[str, float]:
+    """Return the settings of a gate as the extension takes them.
+
+    Raises:
+        TypeError: if they are no mapping.
+
+    """
+    if not isinstance(gate, Mapping):
+        raise TypeError(
+            "gate: expected a mapping such as `VehicleParameters.gate_limits()`, got an object of "
+            f"the type {type(gate).__name__}"
+        )
+    return dict(gate)

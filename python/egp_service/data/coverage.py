@@ -72,9 +72,11 @@ class Coverage:
     def lines(self) -> Iterator[str]:
         """Say what is covered, and what is too thin to train on."""
         noun = "trajectory" if self.trajectories == 1 else "trajectories"
-        yield (
-            f"{self.seconds:.0f} s in {self.trajectories} {noun} of at most {self.longest:.3g} s"
+        total, longest = (
+            f"{time:.3g}" if time < 100.0 else f"{time:.0f}"  # noqa: PLR2004 - no exponent
+            for time in (self.seconds, self.longest)
         )
+        yield f"{total} s in {self.trajectories} {noun} of at most {longest} s"
         if self.gaps:
             noun = "gap" if len(self.gaps) == 1 else "gaps"
             yield (

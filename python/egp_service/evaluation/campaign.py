@@ -224,8 +224,9 @@ def require_members(library: Path, experiments: Iterable[ClosedLoopExperiment]) 
     wanted = [m for e in experiments for c in e.contenders if not c.disturbed for m in c.members]
     found = len(Library.load(library).members)
     if max(wanted, default=-1) >= found:
+        noun = "member" if found == 1 else "members"
         raise EgpError(
-            f"{library} has {found} members, these experiments need {max(wanted) + 1} in the "
+            f"{library} has {found} {noun}, these experiments need {max(wanted) + 1} in the "
             "shipped library's order: egp evaluate --train makes such a library"
         )
 

@@ -24,11 +24,12 @@ _LOAD_SECONDS: Final = 1.25
 """A replica publishes its load twice a second by default; after this time without one it counts as
 silent, or after `_LOADS` times the time between its last two loads if that is longer."""
 _LOADS: Final = 3
+_VERSION: Final = 1
 _EVENTS: Final = 200
 _NAMED: Final = 3
 _MOST_VEHICLES: Final = 1000
-"""A further vehicle takes the place of one that has ended or is silent, and without such a one its
-messages are ignored, so that strangers cannot fill the memory."""
+"""A further vehicle takes the place of one that ended, or of the longest silent one. Without such a
+vehicle its messages are ignored, so that strangers cannot fill the memory."""
 _ROOM_SECONDS: Final = 1.0
 """Time between two looks for such a place."""
 _LARGEST: Final = (64, 64, 258, 64)
@@ -78,6 +79,10 @@ class Replica:
         return {"name": self.name, "state": self.state(now), "age": age, **self.load}
 
 
+def _is_replaceable(vehicle: VehicleRecord, now: float) -> bool:
+    return vehicle.state(now) in ("ended", "silent")
+
+
 class Fleet:
     """Vehicles and replicas by name; times are those of the monotonic clock, in s."""
 
@@ -89,15 +94,17 @@ class Fleet:
         self.happened = 0
         self._states: dict[tuple[str, str], str] = {}
         self._looked = self._full = -math.inf
+        # Vehicles that had ended or were silent at the last look, the first to be replaced last.
+        self._replaceable: list[str] = []
         # Replicas whose liveliness tokens are there, each of which is told once.
         self._tokens: set[str] = set()
 
     def status(self, name: str, payload: bytes, now: float) -> None:
         """Keep a vehicle's message `VehicleStatus`.
 
-        One that cannot be decoded, has no control period, has an unknown mode or is too long is
-        ignored, and so is one with a name of a replica that no replica can have. Unknown fields are
-        not kept, and long texts are cut.
+        One that cannot be decoded, is of another version, has no control period, has an unknown
+        mode or is too long is ignored, and so is one with a name of a replica that no replica can
+        have. Unknown fields are not kept, and long texts are cut.
         """
         if len(payload) > LARGEST_STATUS:
             return
@@ -107,6 +114,8 @@ class Fleet:
         except DecodeError:
             return
         status.DiscardUnknownFields()
+        if status.version != _VERSION:
+            return
         if not (math.isfinite(status.dt) and status.dt > 0.0 and status.step.mode in MODES):
             return
         lists = (status.step.weights, status.members, status.plan, status.times)
@@ -124,18 +133,25 @@ class Fleet:
             self.vehicles[name] = VehicleRecord(name, status, now)
 
     def _has_room(self, now: float) -> bool:
-        """Make room for a further vehicle, if there is one that has ended or is silent."""
-        if len(self.vehicles) >= _MOST_VEHICLES and now - self._looked >= _ROOM_SECONDS:
+        """Make room for a further vehicle, if one has ended or is silent."""
+        if len(self.vehicles) < _MOST_VEHICLES:
+            return True
+        if not self._replaceable and now - self._looked >= _ROOM_SECONDS:
             self._looked = now
-            gone = [n for n, v in self.vehicles.items() if v.state(now) in ("ended", "silent")]
-            for name in gone:
+            gone = [v for v in self.vehicles.values() if _is_replaceable(v, now)]
+            gone.sort(key=lambda v: (not v.status.ended, v.last_seen), reverse=True)
+            self._replaceable = [v.name for v in gone]
+        while self._replaceable:
+            name = self._replaceable.pop()
+            if name in self.vehicles and _is_replaceable(self.vehicles[name], now):
                 del self.vehicles[name]
-        return len(self.vehicles) < _MOST_VEHICLES
+                return True
+        return False
 
     def road(self, name: str, payload: bytes) -> None:
         """Keep the road of a vehicle, a message `VehicleRoad` of finite numbers.
 
-        One of more than 25 000 points is ignored.
+        One of another version or of more than 25 000 points is ignored.
         """
         road = message_class("VehicleRoad")()
         try:
@@ -144,8 +160,9 @@ class Fleet:
             return
         found = {name: getattr(road, name) for name in _ROAD}
         lengths = {len(column) for column in found.values()}
+        current = road.version == _VERSION
         whole = len(lengths) == 1 and max(lengths) <= _MOST_POINTS
-        if name not in self.vehicles or not whole:
+        if name not in self.vehicles or not (current and whole):
             return
         columns = {name: array("d", found[name]) for name in _ROAD}
         if all(math.isfinite(value) for column in columns.values() for value in column):

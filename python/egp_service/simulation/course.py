@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 _CIRCUIT_SEED = 11
 # m; roads of other lengths have no belief about their friction.
 _LENGTHS = (1.0, 1e6)
+# m from the path to an edge; a request states no larger distance.
+_FARTHEST_EDGE = 1000.0
 
 
 def _circle(radius: float = 50.0, track_width: float = 7.0) -> Path:
@@ -58,13 +60,18 @@ def build_path(scenario: Scenario, origin: str | None = None) -> Path:
 
     Raises:
         ScenarioError: with a message that begins with `origin`, or else the scenario's name, if
-            track or parameters are unknown, dimensions or the file are invalid, or a zone begins
-            behind the end of the path.
+            track or parameters are unknown, dimensions or the file are invalid, a zone begins
+            behind the end of the path, or laps are stated for a track that is not closed.
         EgpError: if the scenario's file of a vehicle cannot be used.
 
     """
     where = scenario.name if origin is None else origin
     path = _path(scenario, where)
+    if scenario.laps != 1.0 and not path.closed:
+        raise ScenarioError(
+            f"{where}: laps is {scenario.laps:g}, which has no effect on a track that is not "
+            "closed: leave it out"
+        )
     scale = path.length if scenario.zones_in_metres else 1.0
     for number, zone in enumerate(scenario.zones):
         if scenario.zones_in_metres and zone.start >= path.length:
@@ -107,11 +114,19 @@ def _path(scenario: Scenario, where: str) -> Path:
     except (EgpError, OSError) as error:
         raise ScenarioError(f"{where}: {key}: {error}") from error
     least, most = _LENGTHS
+    made = f" of {track.file}" if track.file else ""
     if not least <= path.length <= most:
-        made = f" of {track.file}" if track.file else ""
         raise ScenarioError(
             f"{where}: {key}: the path{made} is {path.length:g} m long: expected {least:g} to "
             f"{most:g} m"
+        )
+    _, _, _, _, left, right, _ = path.sample(np.arange(0.0, path.length, 0.5))
+    edge = np.maximum(left, right).max()
+    if _FARTHEST_EDGE < edge < np.inf:  # it is infinite without edges
+        units = "; check the unit of the file, and track.parameters.scale" if track.file else ""
+        raise ScenarioError(
+            f"{where}: {key}: an edge{made} is {edge:g} m from the path: expected at most "
+            f"{_FARTHEST_EDGE:g} m{units}"
         )
     return path
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import deque
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
@@ -51,7 +52,9 @@ class TrackEnvironment(gym.Env[Observation, Observation]):
     only with `speed.tyres = true`, where the speed at the start depends on the members' tyres.
     """
 
-    def __init__(self, scenario: Scenario | str = "random", dt: float = 0.02) -> None:
+    def __init__(
+        self, scenario: Scenario | str | os.PathLike[str] = "random", dt: float = 0.02
+    ) -> None:
         """Drive a scenario, given by itself or by its name or file, with actions every `dt` s.
 
         Raises:
@@ -63,7 +66,9 @@ class TrackEnvironment(gym.Env[Observation, Observation]):
         """
         if not 0.0 < dt < np.inf:
             raise InvalidArgumentError(f"expected a positive number of seconds for dt, got {dt}")
-        self._scenario = load_scenario(scenario) if isinstance(scenario, str) else scenario
+        if not isinstance(scenario, Scenario):
+            scenario = load_scenario(os.fspath(scenario))
+        self._scenario = scenario
         check_scenario(self._scenario, self._scenario.name)
         self._dt = dt
         car = vehicle_parameters(self._scenario)
@@ -108,7 +113,10 @@ class TrackEnvironment(gym.Env[Observation, Observation]):
                 then not driven.
 
         """
-        shares = np.asarray(action, dtype=np.float64)
+        try:
+            shares = np.asarray(action, dtype=np.float64)
+        except (TypeError, ValueError):
+            shares = np.array(np.nan)
         if shares.shape != (NU,) or not np.isfinite(shares).all():
             raise InvalidArgumentError(
                 f"expected an action of shape ({NU},) with finite numbers, got {action}"

@@ -116,8 +116,11 @@ class OwnPlant:
         friction = float(self._path.sample(np.array([s]))[-1][0])
         with _calling(f"{self._name}.step"):
             self._simulator.step(u.copy(), dt, friction)  # a step may write into its argument
-        if not (np.abs(self.state) <= FARTHEST).all():
-            raise VehicleLostError(f"{self._name}: the state is {self.state.tolist()}")
+        state = self.state
+        if not (np.abs(state) <= FARTHEST).all():
+            finite = np.isfinite(state).all()
+            fault = f"has a number beyond ±{FARTHEST:g}" if finite else "is not finite"
+            raise VehicleLostError(f"{self._name}.state after step {fault}: {state.tolist()}")
 
     @property
     def state(self) -> NDArray[np.float64]:

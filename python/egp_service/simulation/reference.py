@@ -216,7 +216,7 @@ def load_belief(scenario: Scenario, file: str | FilePath | None) -> RoadBelief:
 
     """
     if file is not None and (reason := why_unused(scenario.speed)):
-        raise ScenarioError(f"{scenario.name}: {file} has no effect while {reason}")
+        raise ScenarioError(f"{scenario.name}: --road {file} has no effect while {reason}")
     belief = RoadBelief(build_path(scenario))
     known = None if file is None else FilePath(file)
     if known is not None and known.exists():

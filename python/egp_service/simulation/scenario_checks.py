@@ -20,10 +20,8 @@ MAX_NAME = 50
 # A run's folder has the name, so a name holds nothing that would lead to another folder.
 _NAME = re.compile(rf"\w[\w .-]{{0,{MAX_NAME - 1}}}")
 KNOWLEDGE = ("zones", "here", "weights", "nothing")
-SPEEDS = (1e-3, 1e4)
-"""The range of `speed.v_max`, m/s; no profile has another largest speed."""
-MAX_START = 100.0
-"""The largest `speed.v_start`, m/s; the control step accepts no larger speed."""
+SPEEDS = (1e-3, 100.0)
+"""The range of `speed.v_max`, m/s; the control step accepts no larger speed."""
 
 
 class ScenarioError(ConfigurationError):
@@ -87,9 +85,9 @@ def check_speed(speed: Speed, origin: str) -> None:
         raise ScenarioError(
             f"{origin}: speed.v_max must be {least:g} to {most:g} m/s, got {speed.v_max:g}"
         )
-    if speed.v_start is not None and not 0.0 <= speed.v_start <= MAX_START:
+    if speed.v_start is not None and not 0.0 <= speed.v_start <= most:
         raise ScenarioError(
-            f"{origin}: speed.v_start must be 0 to {MAX_START:g} m/s, got {speed.v_start:g}"
+            f"{origin}: speed.v_start must be 0 to {most:g} m/s, got {speed.v_start:g}"
         )
     if reason := why_unused(speed):
         _check_unused(speed, reason, origin)

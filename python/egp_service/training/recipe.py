@@ -10,7 +10,6 @@ import dataclasses
 import json
 import platform
 import tempfile
-import tomllib
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -20,6 +19,7 @@ from egp_service.data.collect import CollectionSettings, collect
 from egp_service.data.experiment import Experiment, tool
 from egp_service.data.exploration import ExplorationSettings
 from egp_service.data.sampling import SamplingBounds
+from egp_service.files import read_toml
 from egp_service.shipped import DEMO_RECIPE
 from egp_service.training.export import export
 from egp_service.training.on_policy import OnPolicySettings, distinct_surfaces, drive_laps
@@ -56,10 +56,7 @@ class Recipe:
                 or if its surfaces do not make one library.
 
         """
-        try:
-            content = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            raise EgpError(f"{path}: {error}") from error
+        content = read_toml(path)[1]
         try:
             collection = content.pop("collection", {})
             training = _settings(TrainingSettings, content.pop("training", {}))

@@ -83,12 +83,16 @@ class TrainingSettings:
             raise EgpError(f"kernel is {self.kernel!r}: expected one of {known}")
         if self.mean not in ("single-track", "constant", "best"):
             raise EgpError(f"mean is {self.mean!r}: expected 'single-track', 'constant' or 'best'")
-        least = 2 * NZ
-        for name in ("max_points", "first_points"):
+        points = 2 * NZ
+        smallest = {
+            "max_points": points,
+            "first_points": points,
+            "restarts": 0,
+            "max_iterations": 1,
+        }
+        for name, least in smallest.items():
             if getattr(self, name) < least:
                 raise EgpError(f"{name} is {getattr(self, name)}: expected at least {least}")
-        if self.restarts < 0 or self.max_iterations < 1:
-            raise EgpError("restarts must be 0 or more and max_iterations 1 or more")
         if not (0.0 < self.validation_fraction < 1.0):
             raise EgpError(
                 f"validation_fraction is {self.validation_fraction}: expected between 0 and 1"

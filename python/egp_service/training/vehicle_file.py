@@ -31,11 +31,12 @@ if TYPE_CHECKING:
 
 _WIDTH: Final = 1.8
 _WIDTHS: Final = (0.1, 5.0)  # m, what --width accepts
+_LEAST_SECONDS: Final = 10.0  # `egp train` and `egp evaluate --log` need more than this, too
 _REACHED: Final = 0.995
 """Quantile that counts as the largest value in a log; beyond it are outliers."""
 _REACHED_TEXT: Final = f"reached in the logs, outliers of {1.0 - _REACHED:.1%} left out"
 _AT_BOUND_TEXT: Final = "at the end of the range that is searched"
-_UNDETERMINED_TEXT: Final = "not determined by the logs, so mostly the prior"
+_UNDETERMINED_TEXT: Final = "not determined accurately by the logs, so partly the prior"
 _ASSUMED_TEXT: Final = (
     "not determined: the force was computed from an acceleration, so the value scales with the "
     "mass of the import"
@@ -90,9 +91,10 @@ def vehicle_lines(
     """Fit a vehicle to one dataset of each surface, and give the lines of its file.
 
     `known` are parameters of a vehicle's file: its body is the prior of the fit, and what a fit
-    cannot tell is kept. Errors if the datasets have different periods or vehicles, a number is
-    larger than that of any vehicle, `v_x`, `v_y` or `omega` never changes in a dataset, the seed is
-    negative, the width is not 0.1 to 5 m, or the fit fails.
+    cannot tell is kept. Errors if the datasets have different periods or vehicles, one has less
+    than 10 s of driving or a number that is larger than that of any vehicle, `v_x`, `v_y` or
+    `omega` never changes in a dataset, the seed is negative, the width is not 0.1 to 5 m, or the
+    fit fails.
     """
     if width is not None and not _WIDTHS[0] <= width <= _WIDTHS[1]:
         raise EgpError(
@@ -102,6 +104,7 @@ def vehicle_lines(
     check_one_car([data.provenance for data in surfaces], "fit")
     check_seed(seed)
     for data in surfaces:
+        _check_length(data)
         check_magnitudes(data)
         spread(data.y, GP_OUTPUT, data.provenance.surface)
     rngs = [np.random.default_rng([seed, number]) for number in range(len(surfaces))]
@@ -123,6 +126,16 @@ def vehicle_lines(
         *_tyres(fitted, frictions, _UNREACHED_TEXT + (_HIDDEN_TEXT if assumed else "")),
     ]
     return sorted(lines, key=lambda line: _ORDER.index(line.name)), fitted
+
+
+def _check_length(data: Dataset) -> None:
+    seconds = len(data) * data.provenance.dt
+    if seconds < _LEAST_SECONDS:
+        raise EgpError(
+            f"surface {data.provenance.surface} has {len(data)} transitions, which are "
+            f"{seconds:.3g} s of driving: a vehicle is fitted to at least {_LEAST_SECONDS:g} s of "
+            "each surface, so record or collect more"
+        )
 
 
 def vehicle_toml(lines: Sequence[Line]) -> str:

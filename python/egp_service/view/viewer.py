@@ -36,10 +36,13 @@ def save(run: RecordedRun, name: str, path: Path) -> None:
     """Write a run as a file of Rerun with its layout; the viewer shows it by that name.
 
     Raises:
-        EgpError: if the path does not end in `.rrd`, by which Rerun recognises its files.
+        EgpError: if the path is a folder, or does not end in `.rrd`, by which Rerun recognises its
+            files.
         OSError: if the file cannot be written.
 
     """
+    if path.is_dir():
+        raise EgpError(f"{path} is a folder: name a file in it, such as {path / 'run.rrd'}")
     if path.suffix != ".rrd":
         raise EgpError(f"expected a file name that ends in .rrd, got {path}: try {path.stem}.rrd")
     rr.set_strict_mode(True)

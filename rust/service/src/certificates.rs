@@ -29,8 +29,10 @@ pub(crate) const SETTINGS: [&str; 6] = [
 /// A certificate that cannot be used: the setting that names it, and the reason.
 pub(crate) type Unusable = (String, String);
 
-/// The names that `egp keys` writes into the certificates of those who listen, each also the name of their file.
-const ROLES: [&str; 3] = ["service", "map", "router"];
+/// The names that `egp keys` writes into certificates, each also the name of a file. A vehicle's is `FLEET/VEHICLE`.
+const ROLES: [&str; 4] = ["service", "map", "router", "operator"];
+/// The role of a vehicle.
+const VEHICLE: &str = "vehicle";
 
 /// What is read from a certificate.
 struct Certificate {
@@ -45,11 +47,11 @@ struct Certificate {
 
 /// The earliest end of the certificates in these settings ([`SETTINGS`], with their values), s since 1970; none if they name
 /// none. A file of authorities is valid from the first begin to the last end, and a chain as long as its first certificate,
-/// which is the service's own. `now` is in s since 1970, too. `role` is the name of this program in [`ROLES`].
+/// which is the service's own. `now` is in s since 1970, too. `role` is the name of this program in [`ROLES`], or [`VEHICLE`].
 ///
 /// # Errors
-/// [`Unusable`] for a file that cannot be read, has no certificate, has one that has expired or is not valid yet, or one
-/// with which another role listens.
+/// [`Unusable`] for a file that cannot be read, has no certificate, has one that has expired or is not valid yet, or, as
+/// this program's own, one of another role.
 pub(crate) fn earliest_end(
     settings: &[(String, Value)],
     now: i64,
@@ -100,20 +102,30 @@ pub(crate) fn earliest_end(
             );
             return Err((named, reason));
         }
-        if key.contains("listen_certificate")
-            && let Some(owner) = &first.owner
-            && owner != role
-            && ROLES.contains(&owner.as_str())
-        {
+        let owner = first.owner.as_deref().and_then(role_of);
+        if let Some(owner) = owner.filter(|owner| *owner != role && !key.contains("root_ca")) {
+            let file = if role == VEHICLE {
+                "vehicles/FLEET@VEHICLE"
+            } else {
+                role
+            };
             let reason = format!(
                 "the certificate is that of the role {owner}, and this program has the role {role}; state the file \
-                 {role}.json5 of `egp keys`"
+                 {file}.json5 of `egp keys`"
             );
             return Err((named, reason));
         }
         earliest = Some(earliest.map_or(end, |earliest: i64| earliest.min(end)));
     }
     Ok(earliest)
+}
+
+/// The role for which `egp keys` writes a certificate with this name; none if it writes no such certificate.
+fn role_of(owner: &str) -> Option<&str> {
+    if owner.contains('/') {
+        return Some(VEHICLE);
+    }
+    Some(owner).filter(|owner| ROLES.contains(owner))
 }
 
 /// The time, s since 1970.
@@ -261,14 +273,23 @@ do6S23DDFe9OW8P2HIfrrhcdDw==
     }
 
     #[test]
-    fn the_certificate_of_another_role_is_an_error_where_it_listens() {
+    fn the_certificate_of_another_role_is_an_error_unless_it_is_an_authoritys() {
         let named = |key| earliest_end(&setting(key, MAP), BEGIN, "service");
-        let (_, reason) = named("transport/link/tls/listen_certificate_base64").unwrap_err();
-        assert!(
-            reason.contains("the role map") && reason.contains("state the file service.json5"),
-            "{reason}"
-        );
-        assert_eq!(named("connect_certificate_base64"), Ok(Some(END)));
+        for key in ["listen_certificate_base64", "connect_certificate_base64"] {
+            let (_, reason) = named(key).unwrap_err();
+            assert!(
+                reason.contains("the role map") && reason.contains("state the file service.json5"),
+                "{reason}"
+            );
+        }
+        assert_eq!(named("root_ca_certificate_base64"), Ok(Some(END)));
+        for (owner, role) in [
+            ("default/car-1", Some("vehicle")),
+            ("operator", Some("operator")),
+            ("www.example.org", None),
+        ] {
+            assert_eq!(role_of(owner), role);
+        }
         let own = setting("listen_certificate_base64", MAP);
         assert_eq!(earliest_end(&own, BEGIN, "map"), Ok(Some(END)));
         // The name of a certificate that `egp keys` did not write may be any other one.

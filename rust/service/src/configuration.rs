@@ -51,20 +51,44 @@ pub(crate) fn configuration(
             ));
         }
     }
+    // In place of one list there may be one for each mode.
+    let listened = get(&config, "listen/endpoints")?;
+    let mut listened = if listened.is_array() {
+        places(listened)
+    } else {
+        Vec::new()
+    };
+    listened.retain(|endpoint| !endpoint.ends_with(":0"));
+    listened.sort();
+    if let Some(twice) = listened.windows(2).find(|pair| pair[0] == pair[1]) {
+        let reason = "an endpoint can be opened once only";
+        let doing = format!("listen/endpoints has {} twice", twice[0]);
+        return Err(NetworkError::new(doing, &reason));
+    }
     for key in FILES {
         if let Value::String(path) = get(&config, key)? {
             // zenoh would wait for a writer if it were a pipe.
             read_regular(Path::new(&path), 1)
-                .map_err(|e| NetworkError::new(format!("{key} {path}"), &e))?;
+                .map_err(|e| NetworkError::new(format!("{key} {}", shown(&path)), &e))?;
         }
     }
     let end = earliest_end(file, &config, role)?;
     Ok((config, end))
 }
 
+/// A path as errors show it. A key that was written in its place is not shown.
+fn shown(path: &str) -> &str {
+    /// `-----` in PEM, and the same in Base64.
+    const KEYS: [&str; 2] = ["-----", "LS0tLS"];
+    if path.len() > 255 || KEYS.iter().any(|start| path.starts_with(start)) {
+        return "(a text that is no path; the setting for a key in Base64 ends in _base64)";
+    }
+    path
+}
+
 /// Checks the certificates that a zenoh configuration file names, as a program should before it opens a session with it.
-/// `role` is the program's name among `service`, `map` and `router`, whose certificates `egp keys` writes; with another name
-/// it may listen with none of them. Returns a warning about the certificate that expires first, if it is time to renew it.
+/// `role` is that of the program for which `egp keys` writes certificates: `service`, `map`, `router`, `operator` or `vehicle`.
+/// Returns a warning about the certificate that expires first, if it is time to renew it.
 ///
 /// # Errors
 /// [`NetworkError`] naming the file, if it or a certificate cannot be read, or a certificate is not valid now or belongs to
@@ -217,5 +241,34 @@ mod tests {
             assert!(message.contains("expected a regular file"), "{message}");
         }
         std::fs::remove_file(&pipe).unwrap();
+    }
+
+    #[test]
+    fn an_endpoint_that_is_listened_at_twice_is_an_error() {
+        let configured = |endpoints: &str| configured(&[("listen/endpoints", endpoints)]);
+        let error = configured(r#"["tcp/[::]:1", "tcp/127.0.0.1:7447", "tcp/127.0.0.1:7447"]"#);
+        let message = error.unwrap_err().to_string();
+        assert!(
+            message.contains("has tcp/127.0.0.1:7447 twice"),
+            "{message}"
+        );
+        let one_in_each_mode =
+            r#"{ peer: ["tcp/127.0.0.1:7447"], router: ["tcp/127.0.0.1:7447"] }"#;
+        assert!(configured(one_in_each_mode).is_ok());
+        assert!(configured(r#"["tcp/127.0.0.1:0", "tcp/127.0.0.1:0"]"#).is_ok());
+    }
+
+    #[test]
+    fn a_private_key_in_place_of_its_path_is_not_shown() {
+        for (start, length) in [("LS0tLS1CRUdJTiBQUklWQVRF", 100), ("MIGHAgEAMBMGByqG", 300)] {
+            let secret = format!("{start}{}", "x".repeat(length));
+            let key = "transport/link/tls/listen_private_key";
+            let error = configured(&[(key, &format!("{secret:?}"))]).unwrap_err();
+            let message = error.to_string();
+            assert!(
+                !message.contains(start) && message.contains("_base64"),
+                "{message}"
+            );
+        }
     }
 }

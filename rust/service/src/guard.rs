@@ -142,8 +142,14 @@ impl Guard {
         let key = self
             .key(fleet, vehicle)
             .map_err(|missing| denied(missing.to_string()))?;
-        let seal = Seal::decode(&query.attachment()).ok_or_else(|| {
-            denied("the request has no seal; give the client the key of this vehicle".to_owned())
+        let attachment = query.attachment();
+        let seal = Seal::decode(&attachment).ok_or_else(|| {
+            let reason = if attachment.is_empty() {
+                "the request has no seal; give the client the key of this vehicle"
+            } else {
+                "the attachment of the request is no seal (docs/wire.md, section 12)"
+            };
+            denied(reason.to_owned())
         })?;
         if !key.is_question(query.key(), &seal, &query.payload()) {
             let reason = "the seal was not made with this vehicle's key for this request";

@@ -99,9 +99,10 @@ pub fn refused(error: &str) -> String {
     match expected.and_then(|text| text.split('"').next()) {
         // The parser's list of what may come next.
         Some(text) if error.contains("-->") => {
+            let text = without_places(text.trim_end());
             format!("this is no JSON5, {text}; quote texts, as in '\"client\"'")
         }
-        Some(text) => text.to_owned(),
+        Some(text) => without_places(text),
         None if error.contains("Endpoints must be") => {
             let message = error.split("msg: \"").nth(1).unwrap_or(error);
             without_places(message.split('"').next().unwrap_or(message))

@@ -2,7 +2,7 @@
 
 use std::ffi::OsString;
 use std::io::{self, IsTerminal as _, Write as _};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Parser;
 use egp_wire::{Interrupt, print_line, survive_file_size_limit};
@@ -12,12 +12,20 @@ use crate::{Config, Run, Scene, ScheduledFault, SimulationError, planted, repeat
 /// Simulate vehicles, replicas, routers and the network between them in virtual time, with faults drawn from a seed.
 #[derive(Parser)]
 #[command(version, max_term_width = 80)]
-struct Options {
+struct Program {
     /// Library that vehicles ask for.
     library: PathBuf,
     /// Another library, which a replica serves after a reload and which some vehicles ask for.
     #[arg(long)]
     other: PathBuf,
+    #[command(flatten)]
+    options: Options,
+}
+
+/// Simulate vehicles, replicas, routers and the network between them in virtual time, with faults drawn from a seed.
+#[derive(Parser)]
+#[command(version, max_term_width = 80)]
+struct Options {
     /// Replay this seed and print its trace.
     #[arg(long, conflicts_with_all = ["seeds", "planted"])]
     seed: Option<u64>,
@@ -32,7 +40,7 @@ struct Options {
     /// other-library, hostile, disorder, flood and replica-clock; router-kill:router-0@1+2, router-restart and router-freeze
     /// are those of a router; partition:car-0:r1@1+0.5 cuts a link, half-open loses its answers;
     /// vehicle-clock:car-0@1+0 lets a clock jump.
-    #[arg(long, value_name = "FAULT", requires = "seed")]
+    #[arg(long, value_name = "FAULT", requires = "seed", conflicts_with_all = ["seeds", "planted"])]
     fault: Vec<ScheduledFault>,
     /// Virtual duration of a run, s; at most a day.
     #[arg(long, default_value_t = 10.0, value_parser = seconds)]
@@ -71,7 +79,28 @@ fn seeds(text: &str) -> Result<std::ops::Range<u64>, String> {
 /// ended a run of many seeds, whose results until then are printed. If the reader of the output closes it, the program ends
 /// early, and the code is that of what was found until then.
 pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
-    let options = match Options::try_parse_from(arguments) {
+    finished(Program::try_parse_from(arguments), |program| {
+        run(&program.options, &program.library, &program.other)
+    })
+}
+
+/// As [`main`], with these libraries, which the arguments then do not name.
+pub fn main_with_libraries(
+    arguments: impl IntoIterator<Item = OsString>,
+    library: &Path,
+    other: &Path,
+) -> u8 {
+    finished(Options::try_parse_from(arguments), |options| {
+        run(options, library, other)
+    })
+}
+
+/// Runs the simulation with arguments that were read, and returns the exit code.
+fn finished<T>(
+    parsed: Result<T, clap::Error>,
+    run: impl FnOnce(&T) -> Result<u8, SimulationError>,
+) -> u8 {
+    let options = match parsed {
         Ok(options) => options,
         Err(answer) => {
             // Printing fails if the terminal was closed; there is no other place for the message.
@@ -89,9 +118,13 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
 }
 
 /// Runs what the options ask for, and returns the exit code.
-fn run(options: &Options) -> Result<u8, SimulationError> {
+fn run(options: &Options, library: &Path, other: &Path) -> Result<u8, SimulationError> {
     survive_file_size_limit()?;
-    let scene = Scene::load(&options.library, &options.other)?;
+    let late = |fault: &&ScheduledFault| fault.begin.as_secs_f64() >= options.seconds;
+    if let Some(fault) = options.fault.iter().find(late) {
+        return Err(SimulationError::Late(*fault, options.seconds));
+    }
+    let scene = Scene::load(library, other)?;
     let config = |seed| Config {
         seconds: options.seconds,
         vehicles: options.vehicles.into(),
@@ -229,8 +262,24 @@ mod tests {
     use super::*;
 
     fn parsed(options: &[&str]) -> Result<Options, clap::Error> {
-        let files = ["egp-simulate", "a.safetensors", "--other", "b.safetensors"];
-        Options::try_parse_from(files.iter().chain(options))
+        Options::try_parse_from(["egp simulate"].iter().chain(options))
+    }
+
+    #[test]
+    fn scheduled_faults_are_for_one_seed() {
+        let fault = ["--fault", "kill:r0@1+1"];
+        assert!(parsed(&["--seed", "1", fault[0], fault[1]]).is_ok());
+        for other in [&[][..], &["--seeds", "0..2"], &["--planted"]] {
+            assert!(parsed(&[other, &fault].concat()).is_err(), "{other:?}");
+        }
+    }
+
+    #[test]
+    fn the_usage_names_the_libraries_only_where_they_are_arguments() {
+        let usage = |error: clap::Error| error.to_string();
+        let own = Program::try_parse_from(["egp-simulate", "--nonsense"]);
+        assert!(usage(own.err().unwrap()).contains("--other <OTHER>"));
+        assert!(!usage(parsed(&["--nonsense"]).err().unwrap()).contains("--other"));
     }
 
     #[test]

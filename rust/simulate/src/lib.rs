@@ -29,7 +29,7 @@ mod trace;
 mod vehicle;
 mod world;
 
-pub use command::main;
+pub use command::{main, main_with_libraries};
 pub use config::{Config, Run};
 pub use fault::{Fault, ScheduledFault};
 pub use mutant::Mutant;

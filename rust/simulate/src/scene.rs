@@ -46,6 +46,9 @@ pub enum SimulationError {
          --routers"
     )]
     Schedule(ScheduledFault),
+    /// A scheduled fault begins after the end of the run.
+    #[error("{0} begins after the end of the run, which takes {1} s; see --seconds")]
+    Late(ScheduledFault, f64),
     /// The result cannot be written.
     #[error(transparent)]
     Output(#[from] std::io::Error),

@@ -47,6 +47,15 @@ pub(crate) const REFERENCE: Domain<4> = [
 ];
 pub(crate) const WIDTHS: Domain<2> = [("left", WIDTH), ("right", WIDTH)];
 
+/// A number as errors show it: one of many digits with an exponent.
+fn shown(value: &f64) -> String {
+    if value.is_finite() && value.abs() >= 1e9 {
+        format!("{value:e}")
+    } else {
+        value.to_string()
+    }
+}
+
 /// Errors unless every component of every row is inside its domain; NaN is outside.
 pub(crate) fn domain<const W: usize>(
     field: &'static str,
@@ -58,7 +67,7 @@ pub(crate) fn domain<const W: usize>(
             if !(-limit..=*limit).contains(value) {
                 return Err(Invalid::field(
                     field,
-                    format!("row {index}: {name} = {value} is outside ±{limit}"),
+                    format!("row {index}: {name} = {} is outside ±{limit}", shown(value)),
                 ));
             }
         }
@@ -78,14 +87,14 @@ pub(crate) fn simplex(field: &'static str, weights: &[f64]) -> Result<(), Invali
     {
         return Err(Invalid::field(
             field,
-            format!("weight {index} = {weight} is negative"),
+            format!("weight {index} = {} is negative", shown(weight)),
         ));
     }
     let sum: f64 = weights.iter().sum();
     if !(1.0 - SIMPLEX_TOLERANCE..=1.0 + SIMPLEX_TOLERANCE).contains(&sum) {
         return Err(Invalid::field(
             field,
-            format!("weights sum to {sum}, expected 1"),
+            format!("weights sum to {}, expected 1", shown(&sum)),
         ));
     }
     Ok(())
@@ -100,7 +109,9 @@ pub(crate) fn friction(field: &'static str, rows: &[[f64; 2]]) -> Result<(), Inv
                 field,
                 format!(
                     "row {index}: expected a friction in [{least}, {most}] and a standard deviation in [0, {most}], got \
-                     {friction} and {std}"
+                     {} and {}",
+                    shown(friction),
+                    shown(std)
                 ),
             ));
         }
@@ -116,7 +127,7 @@ pub(crate) fn deviations<const W: usize>(
     match rows.as_flattened().iter().find(|value| **value < 0.0) {
         Some(value) => Err(Invalid::field(
             field,
-            format!("a standard deviation is at least 0, got {value}"),
+            format!("a standard deviation is at least 0, got {}", shown(value)),
         )),
         None => Ok(()),
     }
@@ -129,7 +140,7 @@ pub(crate) fn share(field: &'static str, value: f64) -> Result<(), Invalid> {
     }
     Err(Invalid::field(
         field,
-        format!("expected a number in [0, 1], got {value}"),
+        format!("expected a number in [0, 1], got {}", shown(&value)),
     ))
 }
 
@@ -140,7 +151,10 @@ pub(crate) fn residual(field: &'static str, value: f64, solved: bool) -> Result<
     }
     Err(Invalid::field(
         field,
-        format!("expected a number of at least 0, finite if the status is solved, got {value}"),
+        format!(
+            "expected a number of at least 0, finite if the status is solved, got {}",
+            shown(&value)
+        ),
     ))
 }
 

@@ -138,8 +138,7 @@ def collect(
     console = Console(markup=False)
     if not dt > 0.0:
         raise EgpError(f"--dt must be positive, got {dt:g} s")
-    if output.suffix != ".parquet":
-        raise EgpError(f"{output}: a dataset is a Parquet file; name it {output.stem}.parquet")
+    _check_name(output)
     if vehicle is None:
         vehicle = _UNNAMED if from_log else _VEHICLE
     if mass is not None and 0.0 < mass < _LIGHTEST:
@@ -214,6 +213,16 @@ def collect(
     console.print(f"{output}: {len(dataset)} transitions of {dt:g} s on {label}")
 
 
+def _check_name(output: Path) -> None:
+    from egp_service._core import EgpError
+
+    if output.is_dir():
+        inside = output / "data.parquet"
+        raise EgpError(f"{output} is a folder: name a dataset in it, such as {inside}")
+    if output.suffix != ".parquet":
+        raise EgpError(f"{output}: a dataset is a Parquet file; name it {output.stem}.parquet")
+
+
 def _is_file(vehicle: str) -> bool:
     """Return whether --vehicle states a file, and not a name."""
     return vehicle.endswith(".toml")
@@ -259,6 +268,11 @@ def _import(
         if accelerometer:
             front_share = car.l_r / wheelbase
         provenance = dataclasses.replace(provenance, vehicle=file.stem)
+    elif "/" in provenance.vehicle or Path(provenance.vehicle).is_file():
+        raise EgpError(
+            f"--vehicle {provenance.vehicle}: expected the name of a car, or a TOML file that "
+            "describes it and whose name ends in .toml"
+        )
     elif accelerometer:
         raise EgpError(
             "--accelerometer needs the distances of the axles: name the vehicle's file with "

@@ -175,9 +175,11 @@ def drive(
         finally:
             if road is not None:
                 store_belief(belief, road)
-    _show(console, run.summary)
-    if pictures:
-        draw_run(run, folder)
+    with naming_folder(console, folder):
+        _show(console, run.summary)
+        if pictures:
+            with console.status("Drawing ..."):
+                draw_run(run, folder)
     console.print(f"Results in {folder}", markup=False)
     if not run.summary.ending.completed:
         raise typer.Exit(NOT_COMPLETED)
@@ -302,11 +304,12 @@ def _show_differences(console: Console, scenario: "Scenario", controller: "StepC
 
 
 def _show(console: Console, summary: "Summary") -> None:
-    from egp_service.cli.tables import no_plan, summary_table
+    from egp_service.cli.tables import no_plan, summary_table, why_ended
 
     console.print(summary_table([(summary.scenario, summary)]))
-    if reason := no_plan(summary):
-        console.print(reason, markup=False, highlight=False)
+    for text in (why_ended(summary), no_plan(summary)):
+        if text is not None:
+            console.print(text, markup=False, highlight=False)
 
 
 @contextmanager

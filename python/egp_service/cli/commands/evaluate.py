@@ -106,7 +106,8 @@ def evaluate(
             "--jobs": jobs, "--cluster": cluster,
         })  # fmt: skip
         return
-    from egp_service.cli.evaluation_parts import run
+    with console.status("Loading ..."):
+        from egp_service.cli.evaluation_parts import run
 
     chosen = _chosen(experiment)
     _check_options(track, scale, vehicle, chosen, {
@@ -232,9 +233,10 @@ def _on_logs(
         EgpError: if an option of drives has a value.
 
     """
-    from egp_service.cli.logs import evaluate_on
-
     check_unused(of_drives, "cannot be used with --log, which drives nothing: leave out either")
+    with console.status("Loading ..."):
+        from egp_service.cli.logs import evaluate_on
+
     evaluate_on(console, logs, vehicle, output)
 
 

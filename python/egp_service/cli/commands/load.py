@@ -68,13 +68,14 @@ def load(
     if replay is not None:
         replay = recording_file(replay)
     check_outputs([replay], report, figure)
+    stated = {argument.partition("=")[0] for argument in arguments}
     if report is not None:
         arguments += ["--json", str(report)]
     if replay is None:
-        stated = {argument.partition("=")[0] for argument in arguments}
         if "--ramp" in stated and "--requests" not in stated:
             raise EgpError("--ramp raises the rate of recorded requests: give --replay run.mcap")
         raise typer.Exit(_run(arguments))
+    _check_replayed(stated)
     # The file has no name, so that nothing is left behind if a signal ends the program.
     with TemporaryFile() as file:
         recorded = read_recording(replay)
@@ -88,6 +89,18 @@ def load(
         draw_load(report, figure)
         typer.echo(f"The picture is {figure}, and its figures are in {report}.")
     raise typer.Exit(code)
+
+
+def _check_replayed(stated: set[str]) -> None:
+    """Check that no option is stated that recorded requests do not use."""
+    from egp_service._core import EgpError
+
+    for option in ("--key", "--status", "--track", "--friction", "--grip"):
+        if option in stated:
+            raise EgpError(
+                f"{option} is for simulated vehicles, and --replay sends recorded requests as they "
+                "are: leave one of the two out"
+            )
 
 
 def _run(arguments: list[str]) -> int:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from egp_service.control.endpoints import MAP_ENDPOINT, check_free
+from egp_service.control.endpoints import MAP_ENDPOINT, MAP_PORT, check_free
 
 
 def keep_map(
@@ -75,7 +75,7 @@ def keep_map(
     if config is not None and (given or listen):
         raise typer.BadParameter("--config excludes other options: put them into the file")
     if config is None and not check:
-        check_free(listen or [MAP_ENDPOINT])
+        check_free(listen or [MAP_ENDPOINT], MAP_PORT)
     if listen:
         given["zenoh"] = {"listen/endpoints": json.dumps(listen)}
     with naming(config):

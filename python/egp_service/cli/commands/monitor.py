@@ -5,7 +5,12 @@ from typing import Annotated
 
 import typer
 
-from egp_service.control.endpoints import MONITOR_ENDPOINT, SERVICE_ENDPOINT, check_free
+from egp_service.control.endpoints import (
+    MONITOR_ENDPOINT,
+    MONITOR_PORT,
+    SERVICE_ENDPOINT,
+    check_free,
+)
 
 
 def monitor(
@@ -49,7 +54,7 @@ def monitor(
     given = zenoh is not None
     connected = connect or ([] if given else [SERVICE_ENDPOINT])
     listening = listen or ([] if given else [MONITOR_ENDPOINT])
-    check_free(listening)
+    check_free(listening, MONITOR_PORT)
     with until_signal(), bind(host, port) as bound:
         from egp_service.monitor.listener import Listener
 

@@ -81,12 +81,13 @@ def replay(
             console.print("No picture: nothing differs.")
         return
     if pictures:
-        from egp_service.simulation.replay_report import draw_replay
-
         target.parent.mkdir(parents=True, exist_ok=True)
         given = {"library": library, "settings": settings}
         words = [f"{name} {file.name}" for name, file in given.items() if file is not None]
-        draw_replay(result, ", ".join(words) or "this version on this machine", target)
+        with console.status("Drawing ..."):
+            from egp_service.simulation.replay_report import draw_replay
+
+            draw_replay(result, ", ".join(words) or "this version on this machine", target)
         console.print(f"Picture: {target}")
     if not changed:
         raise typer.Exit(DIFFERENT)

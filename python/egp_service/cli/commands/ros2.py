@@ -1,7 +1,9 @@
 """`egp ros2`."""
 
+import math
 from contextlib import suppress
 from enum import StrEnum
+from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,6 +14,8 @@ from egp_service.control.endpoints import ROS_ROUTER_ENDPOINT
 from egp_service.shipped import DEMO_LIBRARY
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from egp_service._core import VehicleParameters
     from egp_service.control.step import Step, StepController
 
@@ -28,7 +32,7 @@ def ros2(
     router: Annotated[
         str, typer.Option(help="Endpoint of rmw_zenoh's router.")
     ] = ROS_ROUTER_ENDPOINT,
-    domain: Annotated[int, typer.Option(help="ROS_DOMAIN_ID.")] = 0,
+    domain: Annotated[int, typer.Option(min=0, max=232, help="ROS_DOMAIN_ID.")] = 0,
     node: Annotated[str, typer.Option(help="Name of the node.")] = "egp_controller",
     library: Annotated[
         Path, typer.Option("--library", "-l", help="Library of the vehicle.")
@@ -105,8 +109,18 @@ def ros2(
       egp ros2 --router tcp/vehicle:7447 --odometry /odom --path /plan
       egp ros2 --autoware-parameters lateral.param.yaml > settings.toml
     """
-    from egp_service._core import Library
+    from egp_service._core import EgpError, Library
 
+    topics = {
+        "--odometry": odometry,
+        "--path": path,
+        "--steering": steering,
+        "--ackermann": ackermann,
+        "--control": control,
+    }
+    _check_topics({option: topic for option, topic in topics.items() if topic})
+    if seconds is not None and not 0.0 < seconds < math.inf:
+        raise EgpError(f"--seconds is {seconds}: expected a number above 0")
     loaded = Library.load(library)
     if autoware_parameters is not None:
         _write_settings(autoware_parameters, loaded.dt)
@@ -159,6 +173,18 @@ def ros2(
 
         console.print(f"Node {node} in domain {domain}, router {router}  (Ctrl-C ends it)")
         driven.run(observe, seconds)
+
+
+def _check_topics(topics: "Mapping[str, str]") -> None:
+    """Check that no topic has messages of two types."""
+    from egp_service._core import EgpError
+
+    for (first, topic), (second, other) in combinations(topics.items(), 2):
+        if topic == other:
+            raise EgpError(
+                f"{first} and {second} are both {topic}: each needs a topic of its own, because "
+                "their messages have different types"
+            )
 
 
 def _controller(

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from egp_service.control.endpoints import ROUTER_ENDPOINT, check_free
+from egp_service.control.endpoints import ROUTER_ENDPOINT, ROUTER_PORT, check_free
 
 
 def router(
@@ -46,7 +46,7 @@ def router(
     from egp_service.control.router import Router
 
     endpoints = listen or ([] if zenoh else [ROUTER_ENDPOINT])
-    check_free(endpoints)
+    check_free(endpoints, ROUTER_PORT)
     if zenoh is not None and (warning := check_certificates(zenoh, "router")) is not None:
         typer.echo(f"egp: {warning}", err=True)
     # Each connection takes a descriptor, also that of a stranger before its handshake ends.

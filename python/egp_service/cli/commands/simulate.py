@@ -15,9 +15,11 @@ def simulate(context: typer.Context) -> None:
       egp simulate --seeds 0..100
       egp simulate --seed 7
     """
+    from functools import partial
+
     from egp_service import shipped
     from egp_service._core import run_simulation
     from egp_service.cli.programs import run_program
 
-    libraries = [str(shipped.DEMO_LIBRARY), "--other", str(shipped.EVALUATION_LIBRARY)]
-    raise typer.Exit(run_program(run_simulation, [*libraries, *context.args]))
+    program = partial(run_simulation, shipped.DEMO_LIBRARY, shipped.EVALUATION_LIBRARY)
+    raise typer.Exit(run_program(program, context.args))

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from egp_service._core import Library
+    from egp_service.training.train import TrainingSettings
     from egp_service.training.trained import TrainedMember
     from egp_service.training.validation import Cell
 
@@ -45,7 +46,7 @@ def train(
         typer.Option(help="Additional random starts of each fit, by default 1; not with best."),
     ] = None,
     validation: Annotated[
-        float, typer.Option(help="Share of the trajectories for validation.")
+        float, typer.Option(help="Share of the trajectories for validation, between 0 and 1.")
     ] = _VALIDATION,
     seed: Annotated[int, typer.Option(min=0, help="Seed of split, selection and starts.")] = 0,
     cluster: Cluster = None,
@@ -96,15 +97,16 @@ def train(
     """
     from egp_service._core import EgpError, Library
     from egp_service.cli.progress import collecting, fitting
-    from egp_service.data.dataset import Dataset
-    from egp_service.training.export import export
-    from egp_service.training.recipe import Displays, Recipe, follow, training_provenance
-    from egp_service.training.train import TrainingSettings
-    from egp_service.training.train import train as train_members
-    from egp_service.training.validation import validate
-    from egp_service.vehicle import known_vehicle, read_vehicle
 
     console = Console()
+    with console.status("Loading ..."):
+        from egp_service.data.dataset import Dataset
+        from egp_service.training.export import export
+        from egp_service.training.recipe import Displays, Recipe, follow, training_provenance
+        from egp_service.training.train import train as train_members
+        from egp_service.training.validation import validate
+        from egp_service.vehicle import known_vehicle, read_vehicle
+
     # These checks come before the minutes that training takes: files that cannot be written, a
     # missing extra and, below, an unknown vehicle.
     check_writable(output, picture)
@@ -141,14 +143,7 @@ def train(
         displays = Displays(lambda: collecting(console), lambda: fitting(console))
         _, members = follow(plan, cluster=cluster, displays=displays)
     else:
-        settings = TrainingSettings(
-            kernel=kernel,
-            mean=mean,
-            max_points=max_points,
-            restarts=1 if restarts is None else restarts,
-            validation_fraction=validation,
-            seed=seed,
-        )
+        settings = _settings(kernel, mean, max_points, restarts, validation, seed)
         datasets = [Dataset.read(path) for path in data or []]
         if car is None:
             known_vehicle(datasets[0].provenance.vehicle)
@@ -161,7 +156,39 @@ def train(
     _show(console, library, members, matrix)
     if picture is not None:
         draw_validation(matrix, picture)
-    console.print(f"{output}: {len(members)} members, id {library.id}", markup=False)
+    noun = "member" if len(members) == 1 else "members"
+    console.print(f"{output}: {len(members)} {noun}, id {library.id}", markup=False)
+
+
+def _settings(
+    kernel: KernelName,
+    mean: Literal["single-track", "constant", "best"],
+    max_points: int,
+    restarts: int | None,
+    validation: float,
+    seed: int,
+) -> "TrainingSettings":
+    """Give the settings that the options state.
+
+    Raises:
+        EgpError: for a value out of its range.
+
+    """
+    from egp_service._core import EgpError
+    from egp_service.training.train import TrainingSettings
+
+    if not 0.0 < validation < 1.0:
+        raise EgpError(f"--validation is {validation:g}: expected a share between 0 and 1")
+    if restarts is not None and restarts < 0:
+        raise EgpError(f"--restarts is {restarts}: expected 0 or more")
+    return TrainingSettings(
+        kernel=kernel,
+        mean=mean,
+        max_points=max_points,
+        restarts=1 if restarts is None else restarts,
+        validation_fraction=validation,
+        seed=seed,
+    )
 
 
 def _show(

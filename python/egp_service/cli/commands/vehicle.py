@@ -70,14 +70,15 @@ def fit(
     from rich.console import Console
     from rich.text import Text
 
-    from egp_service.cli.progress import working
-    from egp_service.cli.tables import vehicle_table
-    from egp_service.data.dataset import Dataset, merge
-    from egp_service.files import write_text
-    from egp_service.training.vehicle_file import vehicle_lines, vehicle_toml
-    from egp_service.vehicle import read_vehicle
-
     console = Console()
+    with console.status("Loading ..."):
+        from egp_service.cli.progress import working
+        from egp_service.cli.tables import vehicle_table
+        from egp_service.data.dataset import Dataset, merge
+        from egp_service.files import write_text
+        from egp_service.training.vehicle_file import vehicle_lines, vehicle_toml
+        from egp_service.vehicle import read_vehicle
+
     if output is None:
         output = _OUTPUT
         if output.exists():

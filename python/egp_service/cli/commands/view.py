@@ -33,22 +33,29 @@ def view(
       egp view runs/20260101-120000-random/run.mcap
       egp view run.mcap --save run.rrd    (then: rerun run.rrd)
     """
-    from egp_service.cli.options import recording_file
-    from egp_service.view.run import read_run
-    from egp_service.view.viewer import save, show
+    from rich.console import Console
 
+    from egp_service.cli.options import recording_file
+
+    console = Console()
     recording = recording_file(recording)
-    run = read_run(recording)
+    with console.status("Reading ..."):
+        from egp_service.view.run import read_run
+        from egp_service.view.viewer import save, show
+
+        run = read_run(recording)
     seconds = (max(run.steps) - min(run.steps)) * 1e-9
     typer.echo(f"{recording}: {len(run.steps)} control steps in {seconds:.1f} s")
     if run.missing:
         typer.echo(run.missing)
     name = "/".join(recording.resolve().parts[-2:])
     if output is not None:
-        save(run, name, output)
+        with console.status("Writing ..."):
+            save(run, name, output)
         typer.echo(f"Saved {output}; `rerun {output}` opens it.")
         return
     with TemporaryDirectory() as folder:
         file = Path(folder, "run.rrd")
-        save(run, name, file)
+        with console.status("Writing ..."):
+            save(run, name, file)
         show(file)

@@ -233,7 +233,7 @@ fn trust_follows_what_is_measured() {
     drive(&mut belief, 60.0, 6.0, 0.6);
     let again = belief.trust().unwrap();
     assert!(
-        (at_first - 0.8).abs() < 1e-9 && confirmed > 0.98,
+        (at_first - 0.5).abs() < 1e-9 && confirmed > 0.98,
         "{at_first} {confirmed}"
     );
     assert!(contradicted < 0.02 && again > 0.9, "{contradicted} {again}");
@@ -241,7 +241,7 @@ fn trust_follows_what_is_measured() {
     let mut better = self::belief();
     better.report(0, &found(0.6)).unwrap();
     drive(&mut better, 0.0, 1.0, 0.9);
-    assert!(better.trust().unwrap() > 0.5);
+    assert!(better.trust().unwrap() > 0.2);
 }
 
 #[test]
@@ -258,7 +258,7 @@ fn windows_of_an_earlier_length_count_by_it() {
     }
     belief.set_window(5).unwrap();
     let trust = belief.trust().unwrap();
-    assert!((0.81..0.98).contains(&trust), "{trust}");
+    assert!((0.52..0.92).contains(&trust), "{trust}");
     // These windows contain no information.
     for _ in 0..40 {
         update(&mut belief, Some([0.0; FRICTION_HYPOTHESES]));

@@ -100,6 +100,16 @@ fn only_the_vehicle_itself_takes_its_slot_and_only_the_service_can_answer() {
         assert_eq!(error.code, Code::Unauthenticated, "{reason}");
         assert!(error.detail.contains(reason), "{reason}: {}", error.detail);
     }
+    let attached = client.session.get(&step).payload(request.clone());
+    let replies = attached.attachment(vec![0xff; 50]).wait().unwrap();
+    let error = replies.recv().unwrap().into_result().unwrap_err();
+    let error = WireError::decode(&error.payload().to_bytes()).unwrap();
+    assert!(
+        error
+            .detail
+            .contains("the attachment of the request is no seal"),
+        "{error}"
+    );
     // A second client with the same key, of another run, is served, but noticed when the first one goes on.
     for (run, number) in [(12, 1), (11, 3), (12, 2)] {
         let seal = Seal {
@@ -119,7 +129,7 @@ fn only_the_vehicle_itself_takes_its_slot_and_only_the_service_can_answer() {
         "{metrics}"
     );
     assert!(
-        metrics.contains("{outcome=\"unauthenticated\"} 6\n"),
+        metrics.contains("{outcome=\"unauthenticated\"} 7\n"),
         "{metrics}"
     );
 

@@ -27,6 +27,16 @@ fn an_interrupted_search_prints_what_it_found() {
 }
 
 #[test]
+fn a_fault_after_the_end_of_the_run_is_an_error() {
+    let options = ["--seed", "0", "--seconds", "3", "--fault", "kill:r0@3+1"];
+    let output = program().args(options).output().unwrap();
+    assert_eq!(output.status.code(), Some(2));
+    let told = String::from_utf8_lossy(&output.stderr);
+    let expected = "kill:r0@3+1 begins after the end of the run, which takes 3 s";
+    assert!(told.contains(expected), "{told}");
+}
+
+#[test]
 fn a_fault_of_nobody_is_named_as_it_was_written() {
     let fault = ["--seed", "0", "--fault", "kill:r9@1+2"];
     let output = program().args(fault).output().unwrap();

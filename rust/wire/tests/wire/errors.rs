@@ -26,6 +26,7 @@ fn refused_raw(spoil: impl FnOnce(&mut proto::StepRequest)) -> Invalid {
 fn values_outside_the_domain_are_named() {
     assert!(refused(|r| r.x[2] = f64::NAN).starts_with("x: value 2 is not finite"));
     assert!(refused(|r| r.x[2] = 1e3).starts_with("x: row 0: v_x = 1000 is outside"));
+    assert!(refused(|r| r.x[2] = 1e300).starts_with("x: row 0: v_x = 1e300 is outside"));
     assert!(refused(|r| r.u_prev[0] = f64::INFINITY).starts_with("u_prev"));
     assert!(refused(|r| r.plan_x[3][4] = -1e9).starts_with("plan_x: row 3: v_y"));
     assert!(refused(|r| r.history_f.values[2][2] = f64::NAN).starts_with("history_f"));
