@@ -60,9 +60,10 @@ pub(crate) fn configuration(
     };
     listened.retain(|endpoint| !endpoint.ends_with(":0"));
     listened.sort();
-    if let Some(twice) = listened.windows(2).find(|pair| pair[0] == pair[1]) {
+    let mut repeated = listened.iter().zip(listened.iter().skip(1));
+    if let Some((twice, _)) = repeated.find(|(one, next)| one == next) {
         let reason = "an endpoint can be opened once only";
-        let doing = format!("listen/endpoints has {} twice", twice[0]);
+        let doing = format!("listen/endpoints has {twice} twice");
         return Err(NetworkError::new(doing, &reason));
     }
     for key in FILES {

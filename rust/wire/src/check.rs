@@ -48,7 +48,7 @@ pub(crate) const REFERENCE: Domain<4> = [
 pub(crate) const WIDTHS: Domain<2> = [("left", WIDTH), ("right", WIDTH)];
 
 /// A number as errors show it: one of many digits with an exponent.
-fn shown(value: &f64) -> String {
+fn shown(value: f64) -> String {
     if value.is_finite() && value.abs() >= 1e9 {
         format!("{value:e}")
     } else {
@@ -67,7 +67,10 @@ pub(crate) fn domain<const W: usize>(
             if !(-limit..=*limit).contains(value) {
                 return Err(Invalid::field(
                     field,
-                    format!("row {index}: {name} = {} is outside ±{limit}", shown(value)),
+                    format!(
+                        "row {index}: {name} = {} is outside ±{limit}",
+                        shown(*value)
+                    ),
                 ));
             }
         }
@@ -87,14 +90,14 @@ pub(crate) fn simplex(field: &'static str, weights: &[f64]) -> Result<(), Invali
     {
         return Err(Invalid::field(
             field,
-            format!("weight {index} = {} is negative", shown(weight)),
+            format!("weight {index} = {} is negative", shown(*weight)),
         ));
     }
     let sum: f64 = weights.iter().sum();
     if !(1.0 - SIMPLEX_TOLERANCE..=1.0 + SIMPLEX_TOLERANCE).contains(&sum) {
         return Err(Invalid::field(
             field,
-            format!("weights sum to {}, expected 1", shown(&sum)),
+            format!("weights sum to {}, expected 1", shown(sum)),
         ));
     }
     Ok(())
@@ -110,8 +113,8 @@ pub(crate) fn friction(field: &'static str, rows: &[[f64; 2]]) -> Result<(), Inv
                 format!(
                     "row {index}: expected a friction in [{least}, {most}] and a standard deviation in [0, {most}], got \
                      {} and {}",
-                    shown(friction),
-                    shown(std)
+                    shown(*friction),
+                    shown(*std)
                 ),
             ));
         }
@@ -127,7 +130,7 @@ pub(crate) fn deviations<const W: usize>(
     match rows.as_flattened().iter().find(|value| **value < 0.0) {
         Some(value) => Err(Invalid::field(
             field,
-            format!("a standard deviation is at least 0, got {}", shown(value)),
+            format!("a standard deviation is at least 0, got {}", shown(*value)),
         )),
         None => Ok(()),
     }
@@ -140,7 +143,7 @@ pub(crate) fn share(field: &'static str, value: f64) -> Result<(), Invalid> {
     }
     Err(Invalid::field(
         field,
-        format!("expected a number in [0, 1], got {}", shown(&value)),
+        format!("expected a number in [0, 1], got {}", shown(value)),
     ))
 }
 
@@ -153,7 +156,7 @@ pub(crate) fn residual(field: &'static str, value: f64, solved: bool) -> Result<
         field,
         format!(
             "expected a number of at least 0, finite if the status is solved, got {}",
-            shown(&value)
+            shown(value)
         ),
     ))
 }

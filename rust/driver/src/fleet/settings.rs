@@ -12,13 +12,13 @@ pub enum FleetSettingsError {
     Lifetime(f64),
 }
 
-/// Settings of a [`FleetExchange`].
+/// Settings of a [`crate::FleetExchange`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FleetSettings {
     /// Time in s in which a report loses information, as the map service has it: reports age while the service is silent.
     /// Default 1800.
     pub lifetime: f64,
-    /// How long an answer, [`FleetExchange::fetch`] and [`FleetExchange::finish`] may take. Default 3 s.
+    /// How long an answer, [`crate::FleetExchange::fetch`] and [`crate::FleetExchange::finish`] may take. Default 3 s.
     pub timeout: Duration,
 }
 

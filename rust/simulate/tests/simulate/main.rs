@@ -1,5 +1,5 @@
 //! Runs of the simulation, and what they find.
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::panic)]
 
 mod command;
 mod fleet_map;
