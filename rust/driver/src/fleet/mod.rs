@@ -25,6 +25,8 @@ use crate::driver::Time;
 
 /// Time between two exchanges.
 const EXCHANGE: Duration = Duration::from_secs(1);
+/// Longest time-out; zenoh's times overflow far above it.
+const LONGEST: Duration = Duration::from_secs(86_400);
 /// Largest number of tiles whose evidence is being sent: a slow link has room for little.
 const SENDING: usize = 16;
 
@@ -106,7 +108,7 @@ impl FleetExchange {
     /// not known.
     ///
     /// # Errors
-    /// [`FleetSettingsError`] unless the lifetime is positive and finite.
+    /// [`FleetSettingsError`] unless the lifetime is positive and finite, and the time-out at most a day.
     pub fn new(
         road: RoadKey,
         settings: FleetSettings,
@@ -115,6 +117,9 @@ impl FleetExchange {
     ) -> Result<Self, FleetSettingsError> {
         if !(settings.lifetime > 0.0 && settings.lifetime.is_finite()) {
             return Err(FleetSettingsError::Lifetime(settings.lifetime));
+        }
+        if settings.timeout > LONGEST {
+            return Err(FleetSettingsError::Timeout(settings.timeout));
         }
         belief.take_changed();
         Ok(Self {

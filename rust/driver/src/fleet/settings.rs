@@ -10,6 +10,9 @@ pub enum FleetSettingsError {
     /// See [`FleetSettings::lifetime`].
     #[error("expected a positive number of seconds for lifetime, got {0}")]
     Lifetime(f64),
+    /// See [`FleetSettings::timeout`].
+    #[error("expected a timeout of at most a day, got {0:?}")]
+    Timeout(Duration),
 }
 
 /// Settings of a [`crate::FleetExchange`].
@@ -18,7 +21,8 @@ pub struct FleetSettings {
     /// Time in s in which a report loses information, as the map service has it: reports age while the service is silent.
     /// Default 1800.
     pub lifetime: f64,
-    /// How long an answer, [`crate::FleetExchange::fetch`] and [`crate::FleetExchange::finish`] may take. Default 3 s.
+    /// How long an answer, [`crate::FleetExchange::fetch`] and [`crate::FleetExchange::finish`] may take, at most a day. Default
+    /// 3 s.
     pub timeout: Duration,
 }
 

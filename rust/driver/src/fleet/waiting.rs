@@ -8,8 +8,8 @@ use egp_map::RoadBelief;
 use super::{FleetExchange, FleetNotice};
 use crate::driver::Time;
 
-/// Part of the time-out that the first question of [`FleetExchange::fetch`] may take, so that a lost answer is asked for again.
-/// Later ones may take all of it, as the answers on a slow link do.
+/// The first question of [`FleetExchange::fetch`] may take the time-out divided by this, so that a lost answer is asked for
+/// again. Later ones may take all of it, as the answers on a slow link do.
 const FIRST_SHARE: u32 = 3;
 /// Pause before [`FleetExchange::fetch`] asks again: the link may not be there yet.
 const PAUSE: Duration = Duration::from_millis(50);
@@ -25,7 +25,7 @@ impl FleetExchange {
     /// Asks for all tiles, again if there is no answer. Once [`Self::is_waiting`] is false, the map service has answered unless
     /// it is [`Self::silent`].
     pub fn fetch(&mut self, now: Time) {
-        let until = now + self.settings.timeout;
+        let until = now.saturating_add(self.settings.timeout);
         self.waiting = Some(Waiting::Fetch { until, again: None });
         self.silent = false;
         self.ask(0, self.last_tile(), self.settings.timeout / FIRST_SHARE);
@@ -34,7 +34,7 @@ impl FleetExchange {
     /// Sends the last evidence, unless the service is silent. Once [`Self::is_waiting`] is false, [`Self::unsent`] tells what
     /// could not be sent.
     pub fn finish(&mut self, now: Time, belief: &mut RoadBelief) {
-        let until = now + self.settings.timeout;
+        let until = now.saturating_add(self.settings.timeout);
         let tried = BTreeSet::new();
         self.waiting = Some(Waiting::Finish { until, tried });
         if self.silent {

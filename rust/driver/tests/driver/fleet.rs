@@ -342,18 +342,16 @@ fn a_text_of_zenoh_is_no_answer_of_a_service() {
 }
 
 #[test]
-fn a_lifetime_out_of_range_is_an_error() {
-    for lifetime in [0.0, -1.0, f64::NAN, f64::INFINITY] {
-        let settings = FleetSettings {
-            lifetime,
-            ..FleetSettings::default()
-        };
+fn settings_out_of_range_are_errors() {
+    let made = |lifetime, timeout| {
         let mut belief = RoadBelief::new(TILE, false).unwrap();
-        let made = FleetExchange::new(road(), settings, ms(0), &mut belief);
-        assert!(
-            made.unwrap_err()
-                .to_string()
-                .contains("positive number of seconds")
-        );
+        let settings = FleetSettings { lifetime, timeout };
+        FleetExchange::new(road(), settings, ms(0), &mut belief)
+    };
+    for lifetime in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+        let message = made(lifetime, SECOND).unwrap_err().to_string();
+        assert!(message.contains("positive number of seconds"), "{message}");
     }
+    let message = made(1.0, Duration::MAX).unwrap_err().to_string();
+    assert!(message.contains("at most a day"), "{message}");
 }
