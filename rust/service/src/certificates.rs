@@ -9,6 +9,8 @@ use prometheus_client::registry::{Registry, Unit};
 use serde_json::Value;
 use x509_parser::pem::Pem;
 
+use crate::configuration::{MAP, SERVICE};
+
 /// Number of days before the expiry of a certificate from which a service warns of it.
 const SOON: i64 = 30;
 /// Largest number of bytes that are read of a file of certificates.
@@ -30,7 +32,7 @@ pub(crate) const SETTINGS: [&str; 6] = [
 pub(crate) type Unusable = (String, String);
 
 /// The names that `egp keys` writes into certificates, each also the name of a file. A vehicle's is `FLEET/VEHICLE`.
-const ROLES: [&str; 4] = ["service", "map", "router", "operator"];
+const ROLES: [&str; 4] = [SERVICE, MAP, "router", "operator"];
 /// The role of a vehicle.
 const VEHICLE: &str = "vehicle";
 
@@ -47,7 +49,8 @@ struct Certificate {
 
 /// The earliest end of the certificates in these settings ([`SETTINGS`], with their values), s since 1970; none if they name
 /// none. A file of authorities is valid from the first begin to the last end, and a chain as long as its first certificate,
-/// which is the service's own. `now` is in s since 1970, too. `role` is the name of this program in [`ROLES`], or [`VEHICLE`].
+/// which is the service's own. `now` is in s since 1970, too. `role` is the name of this program in [`ROLES`], or [`VEHICLE`]; without
+/// one the certificate may be that of any role.
 ///
 /// # Errors
 /// [`Unusable`] for a file that cannot be read, has no certificate, has one that has expired or is not valid yet, or, as
@@ -55,7 +58,7 @@ struct Certificate {
 pub(crate) fn earliest_end(
     settings: &[(String, Value)],
     now: i64,
-    role: &str,
+    role: Option<&str>,
 ) -> Result<Option<i64>, Unusable> {
     let mut earliest = None;
     for (key, value) in settings {
@@ -103,7 +106,10 @@ pub(crate) fn earliest_end(
             return Err((named, reason));
         }
         let owner = first.owner.as_deref().and_then(role_of);
-        if let Some(owner) = owner.filter(|owner| *owner != role && !key.contains("root_ca")) {
+        if let (Some(owner), Some(role)) = (owner, role)
+            && owner != role
+            && !key.contains("root_ca")
+        {
             let file = if role == VEHICLE {
                 "vehicles/FLEET@VEHICLE"
             } else {
@@ -225,26 +231,37 @@ do6S23DDFe9OW8P2HIfrrhcdDw==
         fs::write(&file, PEM).unwrap();
         let key = "transport/link/tls/listen_certificate";
         let named = setting(key, file.to_str().unwrap());
-        assert_eq!(earliest_end(&named, END - 1, "service"), Ok(Some(END)));
-        let (what, reason) = earliest_end(&named, END + 200_000, "service").unwrap_err();
+        assert_eq!(
+            earliest_end(&named, END - 1, Some("service")),
+            Ok(Some(END))
+        );
+        let (what, reason) = earliest_end(&named, END + 200_000, Some("service")).unwrap_err();
         assert!(what.contains(key) && what.contains("egp-"), "{what}");
         assert!(reason.contains("expired 2 days ago"), "{reason}");
         fs::write(&file, "no certificate").unwrap();
-        let (_, reason) = earliest_end(&named, 0, "service").unwrap_err();
+        let (_, reason) = earliest_end(&named, 0, Some("service")).unwrap_err();
         assert!(reason.contains("got none"), "{reason}");
         fs::remove_file(&file).unwrap();
-        assert!(earliest_end(&named, 0, "service").is_err());
+        assert!(earliest_end(&named, 0, Some("service")).is_err());
         let none = vec![(key.to_owned(), Value::Null)];
-        assert_eq!(earliest_end(&none, 0, "service"), Ok(None));
+        assert_eq!(earliest_end(&none, 0, Some("service")), Ok(None));
     }
 
     #[test]
     fn certificates_inside_the_settings_are_read() {
         assert_eq!(decode("YWJj").unwrap(), b"abc");
         let named = setting("transport/link/tls/connect_certificate_base64", BASE64);
-        assert_eq!(earliest_end(&named, END - 1, "service"), Ok(Some(END)));
+        assert_eq!(
+            earliest_end(&named, END - 1, Some("service")),
+            Ok(Some(END))
+        );
         assert!(
-            earliest_end(&setting("root_ca_certificate_base64", "YWJj"), 0, "service").is_err()
+            earliest_end(
+                &setting("root_ca_certificate_base64", "YWJj"),
+                0,
+                Some("service")
+            )
+            .is_err()
         );
     }
 
@@ -252,7 +269,7 @@ do6S23DDFe9OW8P2HIfrrhcdDw==
     fn a_configuration_with_an_expired_certificate_is_an_error() {
         let key = "transport/link/tls/connect_certificate_base64".to_owned();
         let values = [(key, format!("\"{BASE64}\""))].into();
-        let error = configuration(None, &values, "service")
+        let error = configuration(None, &values, Some("service"))
             .unwrap_err()
             .to_string();
         assert!(error.contains("the certificate expired"), "{error}");
@@ -262,19 +279,19 @@ do6S23DDFe9OW8P2HIfrrhcdDw==
     fn a_certificate_that_is_not_valid_yet_is_an_error() {
         for key in ["root_ca_certificate_base64", "connect_certificate_base64"] {
             let named = setting(key, BASE64);
-            let (what, reason) = earliest_end(&named, BEGIN - 1, "service").unwrap_err();
+            let (what, reason) = earliest_end(&named, BEGIN - 1, Some("service")).unwrap_err();
             assert_eq!(what, key);
             assert!(
                 reason.contains("valid only from 2019-01-01; check this machine's clock"),
                 "{reason}"
             );
-            assert_eq!(earliest_end(&named, BEGIN, "service"), Ok(Some(END)));
+            assert_eq!(earliest_end(&named, BEGIN, Some("service")), Ok(Some(END)));
         }
     }
 
     #[test]
     fn the_certificate_of_another_role_is_an_error_unless_it_is_an_authoritys() {
-        let named = |key| earliest_end(&setting(key, MAP), BEGIN, "service");
+        let named = |key| earliest_end(&setting(key, OF_MAP), BEGIN, Some("service"));
         for key in ["listen_certificate_base64", "connect_certificate_base64"] {
             let (_, reason) = named(key).unwrap_err();
             assert!(
@@ -290,11 +307,11 @@ do6S23DDFe9OW8P2HIfrrhcdDw==
         ] {
             assert_eq!(role_of(owner), role);
         }
-        let own = setting("listen_certificate_base64", MAP);
-        assert_eq!(earliest_end(&own, BEGIN, "map"), Ok(Some(END)));
+        let own = setting("listen_certificate_base64", OF_MAP);
+        assert_eq!(earliest_end(&own, BEGIN, Some("map")), Ok(Some(END)));
         // The name of a certificate that `egp keys` did not write may be any other one.
         let other = setting("listen_certificate_base64", BASE64);
-        assert_eq!(earliest_end(&other, BEGIN, "service"), Ok(Some(END)));
+        assert_eq!(earliest_end(&other, BEGIN, Some("service")), Ok(Some(END)));
     }
 
     #[test]
@@ -311,7 +328,7 @@ do6S23DDFe9OW8P2HIfrrhcdDw==
         VzhQMkhJZnJyaGNkRHc9PQotLS0tLUVORCBDRVJUSUZJQ0FURS0tLS0tCg==";
 
     /// A certificate as that of [`PEM`], with the common name `map`.
-    const MAP: &str = "LS0tLS1CRUdJTiBDRVJUSUZJQ0FURS0tLS0tCk1JSEhNSHVnQXdJQkFnSUJBVEFGQmdNclpYQXdEakVNTUFvR0ExVUVBd3dEYldG\
+    const OF_MAP: &str = "LS0tLS1CRUdJTiBDRVJUSUZJQ0FURS0tLS0tCk1JSEhNSHVnQXdJQkFnSUJBVEFGQmdNclpYQXdEakVNTUFvR0ExVUVBd3dEYldG\
         d01CNFhEVEU1TURFd01UQXcKTURBd01Gb1hEVEl3TURFd01UQXdNREF3TUZvd0RqRU1NQW9HQTFVRUF3d0RiV0Z3TUNvd0JRWURL\
         MlZ3QXlFQQo4NWdLVzVKcWVzeUpzOXJpMzkvMEltbjlGS2dpUzZIaExpTk5UUXNHb0lFd0JRWURLMlZ3QTBFQVUxMm93cEUrCkQr\
         NWN5OHRPYmJIR1I5TkMxR3llZ2JLbkVIczEvNXlXT1VNVWtCVExScXJXZE9adC8vV25sSDd2QlQ4S1Jsb1UKU3k4aEd6Zm9aQUU3\

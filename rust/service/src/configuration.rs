@@ -28,7 +28,7 @@ const FILES: [&str; 3] = [
 pub(crate) type Configured = (Config, Option<i64>);
 
 /// A zenoh configuration: this service's defaults or a JSON5 file, then single values by their key. `role` is [`SERVICE`]
-/// or [`MAP`].
+/// or [`MAP`], or none for a program that only asks, whose rights zenoh's access control decides.
 ///
 /// # Errors
 /// [`NetworkError`] naming the file or the key that zenoh does not accept, an endpoint that this program cannot use, a file
@@ -36,7 +36,7 @@ pub(crate) type Configured = (Config, Option<i64>);
 pub(crate) fn configuration(
     file: Option<&Path>,
     values: &BTreeMap<String, String>,
-    role: &str,
+    role: Option<&str>,
 ) -> Result<Configured, NetworkError> {
     let given = values
         .iter()
@@ -96,7 +96,7 @@ fn shown(path: &str) -> &str {
 /// another role.
 pub fn check_certificates(file: &Path, role: &str) -> Result<Option<String>, NetworkError> {
     let config = egp_session::configuration(Some(file), &[], std::iter::empty())?;
-    let end = earliest_end(Some(file), &config, role)?;
+    let end = earliest_end(Some(file), &config, Some(role))?;
     Ok(end.and_then(|end| certificates::warning(end, certificates::now())))
 }
 
@@ -104,7 +104,7 @@ pub fn check_certificates(file: &Path, role: &str) -> Result<Option<String>, Net
 fn earliest_end(
     file: Option<&Path>,
     config: &Config,
-    role: &str,
+    role: Option<&str>,
 ) -> Result<Option<i64>, NetworkError> {
     let end = certificates::earliest_end(&tls(config)?, certificates::now(), role);
     end.map_err(|(named, reason)| {
@@ -198,7 +198,7 @@ mod tests {
     fn configured(values: &[(&str, &str)]) -> Result<Configured, NetworkError> {
         let values = values.iter();
         let values = values.map(|(key, value)| ((*key).to_owned(), (*value).to_owned()));
-        configuration(None, &values.collect(), SERVICE)
+        configuration(None, &values.collect(), Some(SERVICE))
     }
 
     #[test]
@@ -235,7 +235,7 @@ mod tests {
             assert!(message.contains("expected a regular file"), "{message}");
             assert!(message.starts_with(key), "{message}");
         }
-        let file = configuration(Some(&pipe), &BTreeMap::new(), SERVICE).unwrap_err();
+        let file = configuration(Some(&pipe), &BTreeMap::new(), Some(SERVICE)).unwrap_err();
         let checked = check_certificates(&pipe, "router").unwrap_err();
         for message in [file.to_string(), checked.to_string()] {
             assert!(message.starts_with("zenoh file "), "{message}");

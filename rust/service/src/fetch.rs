@@ -12,7 +12,7 @@ use egp_wire::{Code, LIBRARY_PART_BYTES, LibraryFile, LibraryId};
 use egp_wire::{WireError, library_keys};
 
 use crate::config::ServiceConfig;
-use crate::configuration::{SERVICE, asking, configuration};
+use crate::configuration::{asking, configuration};
 use crate::fetch_error::{Failures, FetchError, FetchFailure};
 use crate::network::Network;
 use crate::query::Answer;
@@ -77,7 +77,7 @@ impl Wanted<'_> {
         check_replaceable(self.file).map_err(unwritten)?;
         let (library, file) = (self.hex(), self.file.display());
         tracing::info!(library, %file, "asking replicas for the library");
-        let (config, _) = configuration(network.zenoh_file.as_deref(), &network.zenoh, SERVICE)?;
+        let (config, _) = configuration(network.zenoh_file.as_deref(), &network.zenoh, None)?;
         let mut fetching = Fetching {
             wanted: self,
             signers,

@@ -59,7 +59,7 @@ pub fn check(config: &ServiceConfig) -> Result<Checked, ServeError> {
     let traces = config.traces.as_deref().map(TraceFile::check);
     traces.transpose().map_err(StartError::from)?;
     config.http.map(HttpListener::check).transpose()?;
-    let (zenoh, end) = configuration(config.zenoh_file.as_deref(), &config.zenoh, SERVICE)
+    let (zenoh, end) = configuration(config.zenoh_file.as_deref(), &config.zenoh, Some(SERVICE))
         .map_err(StartError::from)?;
     rehearse(zenoh, config.http).map_err(StartError::from)?;
     Ok(Checked {

@@ -95,7 +95,8 @@ impl Server {
         stopped: &mut dyn FnMut() -> bool,
     ) -> Result<Self, StartError> {
         config.validate()?;
-        let (zenoh, end) = configuration(config.zenoh_file.as_deref(), &config.zenoh, SERVICE)?;
+        let (zenoh, end) =
+            configuration(config.zenoh_file.as_deref(), &config.zenoh, Some(SERVICE))?;
         let (offering, questions) = Offer::new();
         let mut metrics = Metrics::new(&handler.describe().libraries(), config.workers());
         let twice = metrics.show_name_twice();

@@ -213,7 +213,7 @@ fn zenoh_settings(config: &MapConfig) -> Result<Configured, NetworkError> {
             .entry(key.to_owned())
             .or_insert_with(|| value.to_owned());
     }
-    configuration(config.zenoh_file.as_deref(), &zenoh, MAP)
+    configuration(config.zenoh_file.as_deref(), &zenoh, Some(MAP))
 }
 
 /// Checks what a map service needs to start, except its folder, which a running service may have locked: the log filter, all
