@@ -339,7 +339,7 @@ fn discover(
 }
 
 /// Events that are passed to the driver in each period, even if its deadline has passed, so that they do not pile up.
-const FEW: usize = 64;
+pub(crate) const FEW: usize = 64;
 /// Time between two rounds of questions.
 const POLL: Duration = Duration::from_millis(100);
 /// Time that a replica may take to answer what it serves.

@@ -13,11 +13,10 @@ use egp_wire::keys::{Name, NameError};
 use egp_wire::road_keys::RoadKey;
 use thiserror::Error;
 
+use crate::client::FEW;
 use crate::config::Access;
 use crate::network::{MapEvent, MapNetwork};
 
-/// Events that one period uses at most: those of a flood wait for the next ones.
-const EVENTS: usize = 64;
 /// Notices that are kept for [`FleetMap::next_notice`].
 const NOTICES: usize = 64;
 
@@ -136,7 +135,8 @@ impl FleetMap {
     /// Uses what has arrived, and once a second sends what the vehicle measured; to be called once in each control period. It
     /// never waits for the network.
     pub fn exchange(&mut self, belief: &mut RoadBelief) {
-        for _ in 0..EVENTS {
+        // Those of a flood wait for the next periods.
+        for _ in 0..FEW {
             let Some(event) = self.network.next(Duration::ZERO) else {
                 break;
             };

@@ -190,7 +190,7 @@ impl Network {
             query.attachment,
             query.listen,
             move |reply| {
-                let _ = &end;
+                let _ = &end; // it is dropped with this closure
                 report(&out, answer(id, reply));
             },
         );
@@ -293,7 +293,7 @@ impl MapNetwork {
             .encoding("application/protobuf;egp.v1.TileEvidence");
         // An error needs no other treatment than the end of the query.
         let _ = send(request, &query.key, query.listen, move |reply| {
-            let _ = &end;
+            let _ = &end; // it is dropped with this closure
             let event = match reply.into_result() {
                 Ok(sample) => MapEvent::Replied(id, sample.payload().to_bytes().into_owned()),
                 Err(error) => MapEvent::Refused(id, error.payload().to_bytes().into_owned()),

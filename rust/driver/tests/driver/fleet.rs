@@ -6,7 +6,7 @@ use egp_driver::{FleetExchange, FleetNotice, FleetSettings, MapQuery, Purpose};
 use egp_map::RoadBelief;
 use egp_wire::{Code, RoadTiles, TileEvidence, WireError, encode_tiles_changed};
 
-use crate::fleet_car::{Car, SECOND, TILE, TIMEOUT, answer, overloaded, road};
+use crate::fleet_car::{Car, SECOND, TILE, TIMEOUT, answer, keys, overloaded, road};
 use crate::world::{ms, name};
 
 #[test]
@@ -120,13 +120,9 @@ fn evidence_is_sent_once_a_second_and_again_until_it_is_acknowledged() {
     assert!(car.period().is_empty());
     car.now += SECOND;
     let sent = car.period();
-    let keys: Vec<&str> = sent.iter().map(|query| query.key.as_str()).collect();
     assert_eq!(
-        keys,
-        [
-            "egp/v1/map/depot/car-7/ring/tile/0",
-            "egp/v1/map/depot/car-7/ring/tile/1"
-        ]
+        keys(&sent),
+        [0, 1].map(|tile| format!("egp/v1/map/depot/car-7/ring/tile/{tile}"))
     );
     let evidence = TileEvidence::decode(sent[1].payload.as_ref().unwrap()).unwrap();
     assert_eq!(evidence.age_ms, 1000);
@@ -195,13 +191,9 @@ fn after_a_silence_everything_is_asked_for_and_sent_again() {
     car.replied(&evidence, b"");
     car.now += SECOND;
     let again = car.period();
-    let keys: Vec<&str> = again.iter().map(|query| query.key.as_str()).collect();
     assert_eq!(
-        keys,
-        [
-            "egp/v1/map/depot/car-7/ring/tile/0",
-            "egp/v1/map/depot/car-7/ring/tile/1"
-        ]
+        keys(&again),
+        [0, 1].map(|tile| format!("egp/v1/map/depot/car-7/ring/tile/{tile}"))
     );
     let evidence = TileEvidence::decode(again[0].payload.as_ref().unwrap()).unwrap();
     assert_eq!(evidence.age_ms, 3000); // nothing was measured since

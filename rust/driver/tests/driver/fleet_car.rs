@@ -134,6 +134,11 @@ pub(crate) fn answer(tiles: &[usize], more: bool) -> Vec<u8> {
     RoadTiles { tiles, more }.encode()
 }
 
+/// The keys of queries.
+pub(crate) fn keys(queries: &[MapQuery]) -> Vec<String> {
+    queries.iter().map(|query| query.key.clone()).collect()
+}
+
 pub(crate) fn overloaded() -> WireError {
     WireError::retryable(Code::Overloaded, 0, "busy")
 }
