@@ -9,27 +9,6 @@ from egp_service._core import EgpError, VehicleParameters
 from egp_service.files import read_toml
 
 _SIMULATED: Final = "commonroad-"
-# Magnitudes of model cars to trucks, and those that the control step supports.
-_LIMITS: Final = {
-    "mass": (1.0, 1e5),
-    "yaw_inertia": (0.01, 1e7),
-    "l_f": (0.01, 20.0),
-    "l_r": (0.01, 20.0),
-    "width": (0.05, 10.0),
-    "a_min": (0.01, 100.0),
-    "a_max": (0.01, 100.0),
-    "power": (0.5, 5e3),
-    "a_slew": (0.1, 1e5),
-    "steering_angle": (0.01, 1.5),
-    "steering_rate": (0.01, 10.0),
-    "steering_slew": (0.05, 1e5),
-    "peak_slip": (1e-3, 1.5),
-    "lateral_grip": (1e-3, 5.0),
-    "braking_grip": (1e-3, 5.0),
-    "driving_grip": (1e-3, 5.0),
-}
-# Yaw inertia over mass l_f l_r, which is about 1 for most vehicles.
-_INERTIAS: Final = (0.05, 20.0)
 
 
 def simulated_name(number: int) -> str:
@@ -66,41 +45,12 @@ def simulated_vehicle(name: str) -> VehicleParameters | None:
     return VehicleParameters.commonroad(int(number))
 
 
-def check_limits(vehicle: VehicleParameters, origin: str) -> None:
-    """Check that a vehicle is one that can be controlled; `origin` is for errors.
-
-    Raises:
-        EgpError: naming the first value that is too small or too large, as one in another unit.
-
-    """
-    fields = vehicle.fields()
-    for name, (least, most) in _LIMITS.items():
-        value = fields[name]
-        if not least <= abs(value) <= most:
-            raise EgpError(
-                f"{origin}: {name} is {value:g}: expected a magnitude of {least:g} to {most:g}; "
-                "check its unit"
-            )
-    least, most = (share * vehicle.mass * vehicle.l_f * vehicle.l_r for share in _INERTIAS)
-    if not least <= vehicle.yaw_inertia <= most:
-        raise EgpError(
-            f"{origin}: yaw_inertia is {vehicle.yaw_inertia:g}: expected {least:.3g} to {most:.3g} "
-            "for this mass and these distances to the axles; check its unit"
-        )
-
-
-def within_limits(name: str, value: float) -> float:
-    """Return the positive value of this field that `check_limits` accepts and is nearest."""
-    least, most = _LIMITS[name]
-    return min(max(value, least), most)
-
-
 def read_vehicle(path: str | Path) -> VehicleParameters:
     """Read a vehicle's parameters from a TOML file with one line for each field.
 
     Raises:
         EgpError: naming the file, if it cannot be read or is not TOML, and the field that is
-            missing, unknown or out of range, as `check_limits`.
+            missing, unknown or out of range.
 
     """
     _, fields = read_toml(Path(path))
@@ -108,8 +58,6 @@ def read_vehicle(path: str | Path) -> VehicleParameters:
         for name, value in fields.items():
             if isinstance(value, bool) or not isinstance(value, int | float):
                 raise TypeError(f"{name} is {value!r}: expected a number in SI units")  # noqa: TRY301
-        vehicle = VehicleParameters(**fields)
+        return VehicleParameters(**fields)
     except (ValueError, TypeError) as error:
         raise EgpError(f"{path}: {error}") from error
-    check_limits(vehicle, str(path))
-    return vehicle

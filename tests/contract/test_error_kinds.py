@@ -90,7 +90,7 @@ def planner() -> SpeedPlanner:
         (lambda: VehicleParameters.commonroad(9), "CommonRoad vehicles 1, 2, got 9"),
         (
             lambda: VehicleParameters(**CAR.fields() | {"mass": -1.0}),
-            "`mass` must be finite and positive, got -1 kg",
+            "`mass` is -1.0 kg: expected 1 to 100000; check its unit",
         ),
         (lambda: check_settings("horizon = 0"), "horizon"),
         (lambda: Engine(DEMO_LIBRARY, "horizon = 0"), "horizon"),

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from egp_service import shipped
+from egp_service import VehicleParameters, shipped
 
 DOCUMENT = (Path(__file__).parents[2] / "docs/library.md").read_text(encoding="utf-8")
 TENSORS = dict(re.findall(r"^\| `(\w+)` \| \[([\w, ]+)\] \|", DOCUMENT, re.MULTILINE))
@@ -56,7 +56,9 @@ def test_metadata_keys_are_those_of_the_table(header: dict[str, Any]) -> None:
     for member in metadata["members"]:
         assert set(member) <= set(re.findall(r"`([\w-]+)`", members))
     assert f"`schema` | {metadata['schema']}." in METADATA
-    parameters = re.findall(r"^\| `(\w+)` \|", VEHICLE, re.MULTILINE)
-    assert sorted(parameters) == sorted(metadata["parameters"])
+    parameters = re.findall(r"^\| `(\w+)` \| [^|]+ \| (\S+) to (\S+) \|", VEHICLE, re.MULTILINE)
+    ranges = {name: (float(least), float(most)) for name, least, most in parameters}
+    assert ranges == VehicleParameters.ranges()
+    assert sorted(ranges) == sorted(metadata["parameters"])
     for signal in metadata["inputs"] + metadata["outputs"]:
         assert f"`{signal['name']}` {signal['unit']}" in METADATA

@@ -72,7 +72,7 @@ def test_the_resolved_text_is_the_same_scenario(name: str) -> None:
         (('name = "mine"', ""), "'name' is missing"),
         (("start = 0.0", "start = 0.1"), "begin with one at start = 0.0"),
         (("friction = 0.8", "friction = -1.0"), r"zones\[0\].friction must be positive"),
-        (("friction = 0.8", 'friction = "wet"'), r"zones\[0\]: friction must be float"),
+        (("friction = 0.8", 'friction = "wet"'), r"zones\[0\]: friction must be a number"),
         (("friction = 0.8", "friction = 0.8\nright = 0"), r"zones\[0\].right must be positive"),
         (("[track]", "[speed]\ngrip = 85\n[track]"), "mine.toml: speed.grip .* at most 1, got 85"),
         (
@@ -90,12 +90,12 @@ def test_the_resolved_text_is_the_same_scenario(name: str) -> None:
             "speed.friction must be positive",
         ),
         (("[track]", "[speed]\nfriction = 0.3\n[track]"), "speed.friction has no effect while"),
-        (("[track]", "laps = true\n[track]"), "laps must be float"),
+        (("[track]", "laps = true\n[track]"), "laps must be a number, got True"),
         (("[track]", "vehicle = -1\n[track]"), "vehicle is -1: expected a number of CommonRoad"),
         (("friction = 0.8", ""), r"zones\[0\]: expected `friction` or `surface`, got neither"),
         (("friction = 0.8", 'friction = 0.8\nsurface = "ice"'), r"zones\[0\]: .*got both"),
         (("friction = 0.8", 'surface = "mud"'), r"zones\[0\]: no surface .*dry, wet, snow, ice"),
-        (("friction = 0.8", "surface = 0.8"), r"zones\[0\]: surface must be str"),
+        (("friction = 0.8", "surface = 0.8"), r"zones\[0\]: surface must be a text or a table"),
         (("friction = 0.8", "surface = {stiffness = 0.5}"), r"zones\[0\]: .* needs its `peak`"),
         (("friction = 0.8", "surface = {peak = 0.5, grip = 1}"), "unknown field `grip`"),
         (("friction = 0.8", "surface = {peak = 0}"), "coefficient > 0 and at most 3, got 0"),
@@ -248,6 +248,13 @@ def test_what_configurations_do_not_have_is_an_error(value: object, complaint: s
         dumps({"value": value})
 
 
+def test_a_scenario_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+    file = tmp_path / "own.toml"
+    file.symlink_to("/proc/self/mem")  # a regular file, of which a read at its start fails
+    with pytest.raises(ScenarioError, match=r"own\.toml: Input/output error"):
+        load_scenario(str(file))
+
+
 def test_a_scenario_that_is_no_text_is_named(tmp_path: Path) -> None:
     file = tmp_path / "run.mcap"
     file.write_bytes(b"\x89MCAP")
@@ -383,7 +390,7 @@ def test_the_file_of_a_vehicle_gives_gate_and_speeds(tmp_path: Path) -> None:
     (tmp_path / "car.toml").write_text("".join(f"{key} = {car[key]}\n" for key in car))
     millimetres = "".join(f"{key} = {car[key] * (1e3 if key == 'l_f' else 1)}\n" for key in car)
     (tmp_path / "millimetres.toml").write_text(millimetres)
-    with pytest.raises(ScenarioError, match=r"vehicle_file: .*l_f is 900: .*check its unit"):
+    with pytest.raises(ScenarioError, match=r"vehicle_file: .*`l_f` is 900.*check its unit"):
         parse_scenario('vehicle_file = "millimetres.toml"\n' + MINIMAL, tmp_path, "mine.toml")
     plain = parse(MINIMAL)
     own = parse_scenario('vehicle_file = "car.toml"\n' + MINIMAL, tmp_path, "mine.toml")

@@ -37,8 +37,8 @@ CAR = VehicleParameters.commonroad(1)
 # Another vehicle, of which no two parameters are alike and none is the car's.
 OTHER = VehicleParameters(
     **{
-        name: (-1.0 if name == "a_min" else 1.0) * (0.5 + 0.0625 * number)
-        for number, name in enumerate(CAR.fields())
+        name: (1.0625 + 0.015625 * number) * value
+        for number, (name, value) in enumerate(CAR.fields().items())
     }
 )
 

@@ -11,13 +11,13 @@ from plant_log import MASS, options, plant_log
 from surfaces import TOY, surface
 from typer.testing import CliRunner
 
-from egp_service import EgpError, VehicleParameters
+from egp_service import EgpError
 from egp_service.cli import app
 from egp_service.control.toml_text import dumps
 from egp_service.data.coverage import Coverage
 from egp_service.data.dataset import Dataset
 from egp_service.training.recipe import Recipe
-from egp_service.vehicle import check_limits, known_vehicle
+from egp_service.vehicle import known_vehicle
 
 # A recipe of two surfaces, of which the second one is left open.
 TWO = '[[surface]]\nlabel = "wet"\nfriction = 0.5\n[[surface]]\nlabel = "{}"\n{}\n'
@@ -134,35 +134,85 @@ def test_a_recipe_states_what_options_would(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("[[surface]]\nlabel = 5\nfriction = 0.5", "label is 5: expected a value such as 'wet'"),
         (
-            "[collection.sampling]\nv_x = [27.0, 2.0]",
-            "v_x is .*: expected the smaller number first",
+            "[[surface]]\nlabel = 5\nfriction = 0.5",
+            r"surface\[0\]: label must be a text, got 5$",
         ),
-        ("[collection.sampling]\nv_x = [2.0, nan]", "v_x is .*: expected 0 to 100"),
-        ("[collection.sampling]\nsideslip = -1", "sideslip is -1: expected 0 to 10"),
-        ("[collection.exploration]\nnoise = [0.0, inf]", "noise is .*: expected 0 to 10"),
-        ("[collection.exploration]\nseconds = -3.0", "seconds is -3.0: expected 0.1 to 3600"),
-        ("[collection.exploration]\nepisodes = 0", "episodes is 0: expected 1 to 100000"),
-        ("[collection.exploration]\narrivals = 3.0", "arrivals is 3.0: expected 0 to 1"),
+        (
+            '[surface]  # [[surface]]\nlabel = "wet"',
+            "surface must be an array of tables, each below a header in double brackets, got {",
+        ),
+        ("collection = [1]", r"collection must be a table, got \[1\]$"),
+        ("collection.tracks = 1", "collection: tracks must be an array, got 1$"),
+        ("collection.tracks = [1]", r"collection: tracks\[0\] must be a text, got 1$"),
+        ("training.foo = 1", "training: unknown field 'foo'; known: kernel, mean, max_points"),
+        (
+            "training.kernel = 'rgb'",
+            "training: kernel must be one of 'rbf', 'matern52', got",
+        ),
+        ("training.max_points = 6000", "training: max_points is 6000: expected at most 5000"),
+        ("foo = 1", "unknown field 'foo'; known: surface, collection, .*, friction, .*, dt"),
+        ("dt = '20 ms'", "dt must be a number, got '20 ms'$"),
+        ("vehicle = 1.0", "vehicle must be a whole number, got 1.0$"),
+        ("disturbances = {load = true}", "disturbances.load must be a number, got True$"),
+        ("on_policy.grip = [0.9, 1.2]", "on_policy: grip is .*: .* above 0 and at most 1$"),
+        (
+            "collection.sampling.v_x = [27.0, 2.0]",
+            "collection: sampling: v_x is .*: expected the smaller number first",
+        ),
+        (
+            "collection.sampling.v_x = [2.0, nan]",
+            r"collection: sampling: v_x\[1\] must be a finite number, got nan",
+        ),
+        (
+            "collection.sampling.v_x = [1.0, 2.0, 3.0]",
+            "collection: sampling: v_x must be an array of 2 values, got",
+        ),
+        (
+            "collection.sampling.sideslip = -1",
+            "collection: sampling: sideslip is -1.0: expected 0 to 10",
+        ),
+        (
+            "collection.exploration.noise = [0.0, 12.0]",
+            "collection: exploration: noise is .*: expected 0 to 10",
+        ),
+        (
+            "collection.exploration.seconds = -3.0",
+            "collection: exploration: seconds is -3.0: expected 0.1 to 3600",
+        ),
+        (
+            "collection.exploration.episodes = 0",
+            "collection: exploration: episodes is 0: expected 1 to 100000",
+        ),
+        (
+            "collection.exploration.arrivals = 3.0",
+            "collection: exploration: arrivals is 3.0: expected 0 to 1",
+        ),
         ("surface = []  # [[surface]]", "no surfaces: add a table"),
+        ("# no [[surface]]", "no surfaces: add a table"),
         (TWO.format("wet", "friction = 0.3"), "frictions 0.5 and 0.3 share a surface label, 'wet'"),
         (TWO.format("ice", "friction = 0.3\ndt = 0.04"), ".*: one library has one dt and one"),
         (TWO.format("ice", "friction = 0.3\nvehicle = 2"), ".*: one library has one dt and one"),
         (TWO.format("wet", "friction = 0.5"), "surface 'wet' with seed 0 is stated twice"),
-        (TWO.format("ice", "friction = [0.3]"), "surface 'ice' has friction .*: expected a coeff"),
+        (
+            TWO.format("ice", "friction = [0.3]"),
+            r"surface\[1\]: friction must be a number or a text, got \[0.3\]",
+        ),
         (
             TWO.format("ice", "friction = -0.3"),
-            "expected a friction coefficient > 0 and at most 3, got -0.3",
+            r"surface\[1\]: expected a friction coefficient > 0 and at most 3, got -0.3",
         ),
-        (TWO.format("ice", "friction = 0.3\ndt = 2.0"), "dt is 2.0 s: expected a period of"),
-        (TWO.format("", "friction = 0.3"), "the surface label is empty"),
+        (
+            TWO.format("ice", "friction = 0.3\ndt = 2.0"),
+            r"surface\[1\]: dt is 2.0 s: expected a period",
+        ),
+        (TWO.format("", "friction = 0.3"), r"surface\[1\]: the surface label is empty"),
     ],
 )
 def test_values_of_a_recipe_have_ranges(tmp_path: Path, text: str, complaint: str) -> None:
     recipe = tmp_path / "recipe.toml"
     sound = '[[surface]]\nlabel = "wet"\nfriction = 0.5\n'
-    recipe.write_text(text if "[[surface]]" in text else sound + text, encoding="utf-8")
+    recipe.write_text(text if "[[surface]]" in text else f"{text}\n{sound}", encoding="utf-8")
     with pytest.raises(EgpError, match=f"recipe.toml: {complaint}"):
         Recipe.read(recipe)
 
@@ -175,32 +225,22 @@ def test_a_surface_of_a_recipe_may_differ_from_what_holds_for_all(tmp_path: Path
     assert [experiment.seed for experiment in Recipe.read(recipe).experiments] == [3, 4]
 
 
-def test_a_vehicle_in_other_units_is_an_error_before_training() -> None:
-    fields = known_vehicle("commonroad-1").fields()
-    check_limits(known_vehicle("commonroad-1"), "car")
-    for name, value in (
-        *(("steering_angle", 45.0), ("mass", 1e200), ("peak_slip", 100.0), ("l_f", 900.0)),
-        *(("width", 50.0), ("power", 0.001), ("a_slew", 1e-3), ("steering_slew", 1e-3)),
-        *((f"{direction}_grip", 9.0) for direction in ("lateral", "braking", "driving")),
-    ):
-        car = VehicleParameters(**(fields | {name: value}))
-        with pytest.raises(EgpError, match=f"car.toml: {name} is .*: expected a magnitude of"):
-            check_limits(car, "car.toml")
-    tonnes = VehicleParameters(**(fields | {"yaw_inertia": 1.5}))
-    with pytest.raises(EgpError, match=r"yaw_inertia is 1\.5: expected .* for this mass and"):
-        check_limits(tonnes, "car.toml")
-    model = {"mass": 3.74, "yaw_inertia": 0.047, "l_f": 0.159, "l_r": 0.171, "width": 0.27}
-    kart = {"mass": 250.0, "yaw_inertia": 90.0, "l_f": 0.55, "l_r": 0.5, "a_slew": 200.0}
-    lorry = {"mass": 4e4, "yaw_inertia": 4e5, "l_f": 3.0, "l_r": 3.5, "power": 8.0}
-    racing = {"power": 1000.0, "lateral_grip": 3.5, "braking_grip": 4.0, "a_min": -50.0}
-    for sound in (model, kart, lorry, racing):
-        check_limits(VehicleParameters(**(fields | sound)), "car.toml")
-
-
 def test_a_library_that_cannot_be_written_is_an_error_before_training(tmp_path: Path) -> None:
     surface(trajectories=2).write(tmp_path / "wet.parquet")
     told = failure("train", str(tmp_path / "wet.parquet"), "-o", "/proc/library.safetensors")
     assert "/proc/library.safetensors: no file can be written there" in told
+
+
+def test_a_vehicle_that_cannot_be_written_is_an_error_before_the_data_are_read() -> None:
+    told = failure("vehicle", "fit", "none.parquet", "-o", "/proc/vehicle.toml")
+    assert "/proc/vehicle.toml: no file can be written there" in told
+
+
+def test_the_folder_of_a_vehicle_is_made(tmp_path: Path) -> None:
+    output = tmp_path / "new" / "vehicle.toml"
+    told = failure("vehicle", "fit", str(tmp_path / "none.parquet"), "-o", str(output))
+    assert told.endswith("none.parquet: no such file")
+    assert output.parent.is_dir()
 
 
 def test_one_member_is_counted_as_one(tmp_path: Path) -> None:

@@ -35,6 +35,10 @@ def test_a_vehicle_file_states_every_field_once(tmp_path: Path) -> None:
     spoiled: Mapping[str, object]
     for spoiled, named in (
         ({"mass": -1.0}, "car.toml: vehicle parameter `mass`"),
+        (
+            {"width": 1674.0},
+            r"car.toml: .*`width` is 1674.0 m: expected 0.05 to 10; check its unit",
+        ),
         ({"length": 4.3}, "length"),
         ({"width": "wide"}, "car.toml"),
     ):

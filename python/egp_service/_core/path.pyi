@@ -116,8 +116,9 @@ class Path:
         """
     @staticmethod
     def from_csv(file: str | PathLike[str], scale: float = 1.0) -> Path:
-        """Read a closed track: a raceline (columns by `;`) or a centre line (columns by `,`).
+        """Read a closed track: a raceline, or a centre line with distances to both edges.
 
+        Columns are separated by commas or semicolons; a first line with names may reorder them.
         `s_m; x_m; y_m; psi_rad; kappa_radpm; vx_mps; ax_mps2` has no widths, and its psi must fit
         the positions, measured from +x or from +y; `x_m,y_m,w_tr_right_m,w_tr_left_m` has widths.
         Lengths are in m and multiplied by `scale`, which is 10 for a track of 1:10 cars.

@@ -13,7 +13,9 @@ class VehicleParameters:
     All fields are required keywords and positive, except `a_min`, which is negative.
 
     Raises:
-        InvalidArgumentError: naming the field that is missing, unknown or out of range.
+        InvalidArgumentError: naming the field that is missing, unknown or outside `ranges()`, as
+            a value in another unit is; also if the yaw inertia is not 0.05 to 20 times
+            `mass l_f l_r`.
 
     """
 
@@ -46,12 +48,15 @@ class VehicleParameters:
             OverflowError: for a negative number or one above 2³² - 1.
 
         """
+    @staticmethod
+    def ranges() -> dict[str, tuple[float, float]]:
+        """Return the smallest and the largest value of each field: model cars to lorries."""
     def fields(self) -> dict[str, float]:
         """Return all values by the names of the arguments, in their units."""
     def gate_limits(self) -> dict[str, float]:
         """Return the limits of a gate that allows exactly what this vehicle can do.
 
-        Keys and units are those of docs/settings.md, section 2.
+        Keys and units are those of docs/settings.md, section 4.
         """
     def __getnewargs_ex__(self) -> tuple[tuple[()], dict[str, float]]: ...
     @property

@@ -19,7 +19,6 @@ from egp_service.quantities import DELTA, GP_INPUT, GP_OUTPUT, GP_STATE, V_X
 from egp_service.training.exact_member import spread
 from egp_service.training.train import check_magnitudes
 from egp_service.training.vehicle_fit import VehicleFitError, fit_vehicle
-from egp_service.vehicle import within_limits
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -30,7 +29,6 @@ if TYPE_CHECKING:
     from egp_service.training.vehicle_fit import FittedParameter, FittedVehicle
 
 _WIDTH: Final = 1.8
-_WIDTHS: Final = (0.1, 5.0)  # m, what --width accepts
 _LEAST_SECONDS: Final = 10.0  # `egp train` and `egp evaluate --log` need more than this, too
 _REACHED: Final = 0.995
 """Quantile that counts as the largest value in a log; beyond it are outliers."""
@@ -93,13 +91,13 @@ def vehicle_lines(
     `known` are parameters of a vehicle's file: its body is the prior of the fit, and what a fit
     cannot tell is kept. Errors if the datasets have different periods or vehicles, one has less
     than 10 s of driving or a number that is larger than that of any vehicle, `v_x`, `v_y` or
-    `omega` never changes in a dataset, the seed is negative, the width is not 0.1 to 5 m, or the
-    fit fails.
+    `omega` never changes in a dataset, the seed is negative, no vehicle's file may state the width,
+    or the fit fails.
     """
-    if width is not None and not _WIDTHS[0] <= width <= _WIDTHS[1]:
+    least, most = VehicleParameters.ranges()["width"]
+    if width is not None and not least <= width <= most:
         raise EgpError(
-            f"the width is {width:g} m: expected {_WIDTHS[0]:g} to {_WIDTHS[1]:g} m; "
-            "check the unit of --width"
+            f"the width is {width:g} m: expected {least:g} to {most:g} m; check the unit of --width"
         )
     check_one_car([data.provenance for data in surfaces], "fit")
     check_seed(seed)
@@ -254,7 +252,8 @@ def _tyres(
 
 def _tyre_line(name: str, value: float, origin: str, doubt: str) -> Line:
     """Give a line with the nearest value that the file of a vehicle may have."""
-    allowed = within_limits(name, value)
+    least, most = VehicleParameters.ranges()[name]
+    allowed = min(max(value, least), most)
     changed = f"the fit gave {value:.4g}, which no file may state" if allowed != value else ""
     return Line(name, _rounded(allowed), origin, ", ".join(filter(None, (doubt, changed))))
 

@@ -32,7 +32,7 @@ impl Engine {
     /// Makes an engine after checking that library, settings and wire fit together.
     ///
     /// # Errors
-    /// [`EngineError`] if the settings are out of range, or members, horizon, window or forces exceed the limits of the wire.
+    /// [`EngineError`] if the settings are out of range or do not fit the library's vehicle, or members, horizon, window or forces exceed the limits of the wire.
     pub fn new(library: Library, settings: Settings) -> Result<Self, EngineError> {
         let metadata = library.metadata();
         let settings = settings.complete(
@@ -49,6 +49,7 @@ impl Engine {
             settings,
             cores: None,
         };
+        engine.vehicle().validate()?;
         engine.check_forces()?;
         Ok(engine)
     }
@@ -107,15 +108,14 @@ impl Engine {
         &self.library
     }
 
-    /// The vehicle that plans are made for: the library's, with the settings' mass, axles and tyres in place of its
-    /// own. It does not have the limits of the settings, which may be narrower than the vehicle's.
+    /// The vehicle that plans are made for: the library's, with the settings' mass and front axle in place of its own. It does
+    /// not have the limits and bounds of the settings, which may be narrower than the vehicle's.
     pub fn vehicle(&self) -> VehicleParameters {
         let library = *self.library.vehicle();
         let planned = self.settings.vehicle(&library);
         VehicleParameters {
             mass: planned.mass,
             l_f: planned.l_f,
-            peak_slip: planned.peak_slip,
             ..library
         }
     }

@@ -2,7 +2,7 @@
 
 use std::io;
 
-use egp_core::{LibraryError, MOST_FORCE, step::SetupError};
+use egp_core::{LibraryError, MOST_FORCE, ParameterError, step::SetupError};
 use thiserror::Error;
 
 /// Why an engine cannot be made.
@@ -37,6 +37,9 @@ pub enum EngineError {
     /// The settings are not valid.
     #[error(transparent)]
     Setup(#[from] SetupError),
+    /// The library's vehicle with the settings' mass and front axle is outside the ranges of a vehicle.
+    #[error("with the mass and the front axle of the settings in place of the library's own, {0}")]
+    Vehicle(#[from] ParameterError),
     /// The system could not start threads for parts of steps.
     #[error("cannot start threads for parts of steps: {0}")]
     Threads(#[from] rayon::ThreadPoolBuildError),

@@ -14,39 +14,55 @@ fn bytes() -> Vec<u8> {
     encode(&libraries::spec(Kernel::Rbf, &[0.5, 1.1], 20, 0)).unwrap()
 }
 
-/// The engine of a vehicle with this mass, kg, whose limits are those of the library, from -8 to 6 m/s², or as stated.
-fn of_mass(mass: f64, limits: InputBounds) -> Result<Engine, EngineError> {
+/// The engine of a library's vehicle with this strongest drive, m/s², in settings that state this mass, kg, and limits.
+fn of_mass(mass: f64, strongest: f64, limits: InputBounds) -> Result<Engine, EngineError> {
+    let mut spec = libraries::spec(Kernel::Rbf, &[0.5, 1.1], 20, 0);
+    spec.parameters.a_max = strongest;
     let settings = Settings {
         mass: Some(mass),
         limits,
         ..Settings::default()
     };
-    Engine::new(Library::from_bytes(&bytes()).unwrap(), settings)
+    let library = Library::from_bytes(&encode(&spec).unwrap()).unwrap();
+    Engine::new(library, settings)
 }
 
 #[test]
 fn forces_that_no_message_can_carry_are_an_error() {
-    assert!(of_mass(125e3, InputBounds::default()).is_ok());
-    let error = of_mass(126e3, InputBounds::default()).unwrap_err();
-    assert!(matches!(error, EngineError::Force { force, .. } if force == 8.0 * 126e3));
+    let bounds = |a_max| InputBounds {
+        a_max: Some(a_max),
+        ..InputBounds::default()
+    };
+    assert!(of_mass(20e3, 6.0, bounds(50.0)).is_ok());
+    let error = of_mass(22e3, 6.0, bounds(50.0)).unwrap_err();
+    assert!(matches!(error, EngineError::Force { force, .. } if force == 50.0 * 22e3));
     let text = error.to_string();
-    for part in ["1008000 N", "126000 kg", "8 m/s²", "at most 1000000 N"] {
+    for part in ["1100000 N", "22000 kg", "50 m/s²", "at most 1000000 N"] {
         assert!(text.contains(part), "{text}");
     }
-    let strong = InputBounds {
-        a_max: Some(20.0),
-        ..InputBounds::default()
-    };
-    let error = of_mass(60e3, strong).unwrap_err();
-    assert!(matches!(error, EngineError::Force { force, .. } if force == 20.0 * 60e3));
-    // Plans within narrow limits are no error by themselves, but clients brake within those of the library.
-    let weak = InputBounds {
-        a_min: Some(-1.0),
-        a_max: Some(1.0),
-        ..InputBounds::default()
-    };
-    let error = of_mass(126e3, weak).unwrap_err();
-    assert!(matches!(error, EngineError::Force { force, .. } if force == 8.0 * 126e3));
+    // Plans within narrow limits are no error by themselves, but clients drive within those of the library.
+    let error = of_mass(22e3, 50.0, bounds(1.0)).unwrap_err();
+    assert!(matches!(error, EngineError::Force { force, .. } if force == 50.0 * 22e3));
+}
+
+#[test]
+fn a_mass_that_does_not_fit_the_inertia_of_the_library_is_an_error() {
+    let error = of_mass(126e3, 6.0, InputBounds::default()).unwrap_err();
+    assert!(matches!(error, EngineError::Vehicle(fault) if fault.name == "mass"));
+    let error = of_mass(50e3, 6.0, InputBounds::default()).unwrap_err();
+    assert!(matches!(error, EngineError::Vehicle(fault) if fault.name == "yaw_inertia"));
+    let text = error.to_string();
+    assert!(
+        text.starts_with("with the mass and the front axle of the settings"),
+        "{text}"
+    );
+}
+
+#[test]
+fn a_slip_that_is_never_reached_switches_the_bound_off_and_is_not_the_vehicles() {
+    let settings = Settings::from_toml("[soft]\nslip = 5.0").unwrap();
+    let engine = Engine::new(Library::from_bytes(&bytes()).unwrap(), settings).unwrap();
+    assert_eq!(engine.vehicle(), *engine.library().vehicle());
 }
 
 #[test]
@@ -61,14 +77,14 @@ fn errors_name_the_file_of_the_library() {
         ..Settings::default()
     };
     let heavy = Settings {
-        mass: Some(1e6),
+        mass: Some(50e3),
         ..Settings::default()
     };
     for (text, reason) in [
         (load(&bytes()[1..], Settings::default()), "header"),
         (load(&bytes(), horizon(150)), "settings.horizon is 150"),
         (load(&bytes(), horizon(0)), "setting `horizon`"),
-        (load(&bytes(), heavy), "8000000 N"),
+        (load(&bytes(), heavy), "`yaw_inertia`"),
     ] {
         assert!(text.starts_with("folder/some.safetensors "), "{text}");
         assert!(text.contains(reason), "{text}");

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// One vehicle: body, actuators and tyres. All values are positive except `a_min`.
+/// One vehicle: body, actuators and tyres. All values are positive except `a_min`, and within [`VehicleParameters::ranges`].
 ///
 /// Actuator limits are accelerations at the vehicle's own mass, because the optimal control problem is solved in
 /// `a = F_x / mass`; [`VehicleParameters::force`] converts them.
@@ -44,19 +44,28 @@ pub struct VehicleParameters {
     pub driving_grip: f64,
 }
 
-/// A parameter that is not finite, or has the wrong sign.
+/// A parameter outside the range of road vehicles: in another unit, with the wrong sign, or not finite.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-#[error("vehicle parameter `{name}` must be finite and {sign}, got {value} {unit}")]
+#[error(
+    "vehicle parameter `{name}` is {value:?} {unit}: expected {least} to {most}{condition}; check its unit"
+)]
 pub struct ParameterError {
     /// The field of [`VehicleParameters`].
     pub name: &'static str,
     /// Its unit.
     pub unit: &'static str,
-    /// The sign it must have.
-    pub sign: &'static str,
     /// The value that came.
     pub value: f64,
+    /// The smallest value that is allowed.
+    pub least: f64,
+    /// The largest value that is allowed.
+    pub most: f64,
+    /// The fields that the range depends on, or nothing.
+    pub condition: &'static str,
 }
+
+/// Smallest and largest yaw inertia, as a multiple of `mass l_f l_r`. For most vehicles the multiple is about 1.
+const INERTIAS: (f64, f64) = (0.05, 20.0);
 
 impl VehicleParameters {
     /// Name, unit and value of every field, in the order of the struct.
@@ -81,26 +90,59 @@ impl VehicleParameters {
         ]
     }
 
-    /// Checks that every value is finite and has the sign of its field.
+    /// Name, smallest and largest value of every field, in the order of the struct: those of model cars to lorries.
+    pub const fn ranges() -> [(&'static str, f64, f64); 16] {
+        [
+            ("mass", 1.0, 1e5),
+            ("yaw_inertia", 0.01, 1e7),
+            ("l_f", 0.01, 20.0),
+            ("l_r", 0.01, 20.0),
+            ("width", 0.05, 10.0),
+            ("a_min", -50.0, -0.01),
+            ("a_max", 0.01, 50.0),
+            ("power", 0.5, 5e3),
+            ("a_slew", 0.1, 1e5),
+            ("steering_angle", 0.01, 1.5),
+            ("steering_rate", 0.01, 10.0),
+            ("steering_slew", 0.05, 1e5),
+            ("peak_slip", 1e-3, 1.5),
+            ("lateral_grip", 1e-3, 5.0),
+            ("braking_grip", 1e-3, 5.0),
+            ("driving_grip", 1e-3, 5.0),
+        ]
+    }
+
+    /// Checks that every value is within its [range](VehicleParameters::ranges), and that the yaw inertia is 0.05 to 20 times
+    /// `mass l_f l_r`. Most values in another unit are outside.
     ///
     /// # Errors
     /// [`ParameterError`] for the first field at fault.
     pub fn validate(&self) -> Result<(), ParameterError> {
-        for (name, unit, value) in self.fields() {
-            let (sign, allowed) = match name {
-                "a_min" => ("negative", value < 0.0),
-                _ => ("positive", value > 0.0),
-            };
-            if !(value.is_finite() && allowed) {
-                return Err(ParameterError {
-                    name,
-                    unit,
-                    sign,
-                    value,
-                });
+        let within = |name, unit, value, (least, most), condition| {
+            if (least..=most).contains(&value) {
+                return Ok(());
             }
+            Err(ParameterError {
+                name,
+                unit,
+                value,
+                least,
+                most,
+                condition,
+            })
+        };
+        for ((name, unit, value), (_, least, most)) in self.fields().into_iter().zip(Self::ranges())
+        {
+            within(name, unit, value, (least, most), "")?;
         }
-        Ok(())
+        let usual = self.mass * self.l_f * self.l_r;
+        within(
+            "yaw_inertia",
+            "kg m²",
+            self.yaw_inertia,
+            (INERTIAS.0 * usual, INERTIAS.1 * usual),
+            " for this mass and these distances to the axles",
+        )
     }
 
     /// The product of `a` and the mass: the force in N for an acceleration in m/s², the change of the force in N/s for that of

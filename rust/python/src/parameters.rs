@@ -46,6 +46,13 @@ macro_rules! methods {
                 Ok(Self(id.vehicle()))
             }
 
+            #[doc = doc!(VehicleParameters.ranges)]
+            #[staticmethod]
+            fn ranges() -> BTreeMap<&'static str, (f64, f64)> {
+                let ranges = egp_parameters::VehicleParameters::ranges().into_iter();
+                ranges.map(|(name, least, most)| (name, (least, most))).collect()
+            }
+
             #[doc = doc!(VehicleParameters.fields)]
             fn fields(&self) -> BTreeMap<&'static str, f64> {
                 let fields = self.0.fields().into_iter();

@@ -141,7 +141,7 @@ fn an_invalid_vehicle_is_an_error_and_the_field_may_be_absent() {
     let error = Ready::decode(&raw.encode_to_vec()).unwrap_err();
     assert_eq!(
         error.to_string(),
-        "vehicle: vehicle parameter `mass` must be finite and positive, got -1200 kg"
+        "vehicle: vehicle parameter `mass` is -1200.0 kg: expected 1 to 100000; check its unit"
     );
     raw.vehicle = None;
     let ready = Ready::decode(&raw.encode_to_vec()).unwrap();
