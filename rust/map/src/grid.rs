@@ -75,7 +75,8 @@ pub(crate) fn interpolate(hypotheses: &[f64; FRICTION_HYPOTHESES]) -> Row {
     std::array::from_fn(|i| interpolate_hypotheses(hypotheses, i as f64 / FINER as f64))
 }
 
-/// Interpolates log likelihoods. Values within `indifference` of the largest, 0, become 0; the others are raised by it.
+/// Interpolates log likelihoods, of which that of the likeliest hypothesis is 0. Values above `-indifference` become 0, also those
+/// that the interpolation puts above 0 between two hypotheses; the others are raised by `indifference`.
 pub(crate) fn interpolate_with_dead_zone(
     hypotheses: &[f64; FRICTION_HYPOTHESES],
     indifference: f64,

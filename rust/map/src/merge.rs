@@ -6,7 +6,8 @@ use crate::tile::{TILE_CELLS, Tile, UNITS};
 
 /// Fractions of a tile's unit in which contributions are added. Whole numbers make the sum independent of the order.
 const FINER: f64 = 256.0;
-/// Smallest logarithm of a likelihood ratio, nats, from which a contribution to a cell counts as informative.
+/// Smallest logarithm of a likelihood ratio, nats, from which a contribution to a cell counts as informative. Others do not count
+/// at all.
 const INFORMATIVE: f64 = 0.5;
 
 /// How contributions age, and how much each one counts.
@@ -41,6 +42,11 @@ impl MergeSettings {
     /// negative age, which counts as 0, as does one that is not a number.
     pub fn remaining(&self, age: f64) -> f64 {
         (-age.max(0.0) / self.lifetime).exp()
+    }
+
+    /// The age in s from which no contribution counts: even one as strong as the capacity has become uninformative.
+    pub fn longest_age(&self) -> f64 {
+        self.lifetime * (self.capacity / INFORMATIVE).ln().max(0.0)
     }
 }
 

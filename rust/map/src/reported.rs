@@ -83,9 +83,6 @@ impl Reported {
         let described = stated.iter().map(described).sum::<f64>() / stated.len() as f64;
         let unrelated = mean(&grid.prior);
         let ratio = (OUTLIERS + (1.0 - OUTLIERS) * described / unrelated).ln();
-        if !ratio.is_finite() {
-            return; // the window excludes all coefficients
-        }
         self.windows.push_back(ratio);
         if self.windows.len() > window
             && let Some(ended) = self.windows.pop_front()

@@ -95,8 +95,8 @@ impl MapConfig {
         if !(1.0..=1e9).contains(&self.lifetime) {
             return range("lifetime", "1 to 1e9 s", &self.lifetime);
         }
-        if !(0.1..=8.0).contains(&self.capacity) {
-            return range("capacity", "0.1 to 8 nats", &self.capacity);
+        if !(1.0..=8.0).contains(&self.capacity) {
+            return range("capacity", "1 to 8 nats", &self.capacity);
         }
         if !(1..=TILE_ORIGINS).contains(&self.vehicles) {
             return range("vehicles", "from 1 to 64", &self.vehicles);

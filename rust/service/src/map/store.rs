@@ -7,9 +7,6 @@ use egp_wire::keys::Name;
 use egp_wire::road_keys::RoadKey;
 use egp_wire::{Code, RoadTile, RoadTiles, TILES_AT_ONCE, TileOrigin, WireError};
 
-/// Lifetimes after which a contribution is forgotten: less than 1/64 nat of the largest is left then.
-const LIFETIMES: f64 = 6.5;
-
 /// Least time between two looks for evidence that is too old by vehicles that ask for room, s. A look reads the whole store.
 const LEAST_BETWEEN_LOOKS: f64 = 1.0;
 
@@ -144,7 +141,7 @@ impl Store {
         at: f64,
         now: f64,
     ) -> Result<(), StoreError> {
-        let (age, limit) = (now - at, self.largest_age());
+        let (age, limit) = (now - at, self.merge.longest_age());
         if age > limit {
             return Err(StoreError::Old { age, limit });
         }
@@ -228,7 +225,7 @@ impl Store {
     /// Forgets what is too old to be of use; the tiles have then changed.
     pub fn expire(&mut self, now: f64) {
         self.looked_at = now;
-        let oldest = now - self.largest_age();
+        let oldest = now - self.merge.longest_age();
         let (shares, total) = (&mut self.shares, &mut self.total);
         let (changed, unsaved) = (&mut self.changed, &mut self.unsaved);
         self.roads.retain(|road, tiles| {
@@ -266,10 +263,6 @@ impl Store {
     /// Number of roads.
     pub fn roads(&self) -> usize {
         self.roads.len()
-    }
-
-    fn largest_age(&self) -> f64 {
-        LIFETIMES * self.merge.lifetime
     }
 
     /// Whether a tile has as many vehicles as it may, whose contributions are all newer than `at`.

@@ -94,7 +94,7 @@ fn memory_is_bounded() {
     let error = WireError::from(full);
     assert!(error.retryable && error.code == Code::Overloaded && error.detail.contains("100"));
     // What is too old makes room.
-    store.add(&key("c"), 60, tile(1), 660.0, 660.0).unwrap();
+    store.add(&key("c"), 60, tile(1), 250.0, 250.0).unwrap();
     assert_eq!((store.contributions(), store.roads()), (1, 1));
     store.expire(2000.0);
     assert_eq!((store.contributions(), store.roads()), (0, 0));
@@ -147,9 +147,9 @@ fn a_vehicle_contributes_to_so_many_roads() {
     assert!(error.detail.contains("raise `roads`"), "{error}");
     // Others, and further tiles of its own roads, are kept.
     store.add(&on("b", "r5"), 0, tile(1), 0.0, 0.0).unwrap();
-    store.add(&on("a", "r4"), 2, tile(1), 600.0, 600.0).unwrap();
+    store.add(&on("a", "r4"), 2, tile(1), 200.0, 200.0).unwrap();
     // The other three roads are forgotten.
-    store.add(&on("a", "r5"), 0, tile(1), 660.0, 660.0).unwrap();
+    store.add(&on("a", "r5"), 0, tile(1), 250.0, 250.0).unwrap();
     assert_eq!((store.contributions(), store.roads()), (2, 2));
 }
 
@@ -161,17 +161,17 @@ fn vehicles_that_ask_for_room_have_the_store_read_once_a_second() {
     }
     let mut add = |now| store.add(&key("a"), 50, tile(1), now, now);
     let full = Err(StoreError::Vehicle(50));
-    assert_eq!(add(649.5), full);
-    // What became too old at 650 s is forgotten at the next look.
-    assert_eq!((add(650.1), add(650.4)), (full.clone(), full));
-    assert_eq!(add(650.5), Ok(()));
+    assert_eq!(add(248.0), full);
+    // What became too old at 100 s · ln 12 = 248.5 s is forgotten at the next look.
+    assert_eq!((add(248.6), add(248.9)), (full.clone(), full));
+    assert_eq!(add(249.0), Ok(()));
     assert_eq!(store.contributions(), 1);
 }
 
 #[test]
 fn old_evidence_is_an_error_and_ages_in_answers() {
     let mut store = store();
-    let error = store.add(&key("a"), 0, tile(1), 0.0, 651.0).unwrap_err();
+    let error = store.add(&key("a"), 0, tile(1), 0.0, 249.0).unwrap_err();
     assert!(matches!(error, StoreError::Old { .. }));
     store.add(&key("a"), 0, tile(1), 0.0, 0.0).unwrap();
     let strength = |now| {
