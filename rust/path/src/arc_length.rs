@@ -1,6 +1,6 @@
 //! Splines through waypoints, parametrised by their arc length.
 
-use crate::error::PathError;
+use crate::error::{PathError, check};
 use crate::spline::{Jet, Piece, interpolate};
 
 /// Largest accepted deviation of `|p'(s)|` from 1.
@@ -8,6 +8,10 @@ const TOLERANCE: f64 = 1e-6;
 /// Longest piece in m. It is short because the knots are the nodes of speed profiles, which must resolve corners.
 const LONGEST_STEP: f64 = 0.5;
 const MAX_PIECES: usize = 1 << 17;
+/// Length of a piece in m below which it is not halved. A profile of the speed has a knot at each end of a piece.
+const SHORTEST_STEP: f64 = 1e-3;
+/// Smallest length of a path, m.
+const LEAST_LENGTH: f64 = 0.1;
 /// Number of parts of a piece for numerical integration.
 const PARTS: u32 = 4;
 
@@ -29,6 +33,9 @@ pub(crate) fn parametrise(points: &[[f64; 2]], closed: bool) -> Result<ArcLength
         // finite.
         return Err(PathError::TooClose);
     }
+    check("the path's length", length, "at least 0.1 m", |length| {
+        length >= LEAST_LENGTH
+    })?;
     let mut count = (length / LONGEST_STEP)
         .ceil()
         .clamp(16.0, MAX_PIECES as f64) as usize;
@@ -52,7 +59,7 @@ pub(crate) fn parametrise(points: &[[f64; 2]], closed: bool) -> Result<ArcLength
                 stations,
             });
         }
-        if count >= MAX_PIECES {
+        if count >= MAX_PIECES || step < SHORTEST_STEP {
             let longest = MAX_PIECES as f64 * LONGEST_STEP;
             if length > longest {
                 return Err(PathError::TooLong { length, longest });

@@ -26,12 +26,15 @@ impl PathParts {
     /// Errors unless a path can be made of the numbers.
     pub(crate) fn check(&self) -> Result<(), PathError> {
         let count = self.pieces.len();
-        for (name, value) in [
-            ("step", self.step),
-            ("the path's length", self.step * count as f64),
-        ] {
-            check(name, value, "a positive number of m", |value| value > 0.0)?;
-        }
+        check("step", self.step, "1e-4 to 1 m", |step| {
+            (1e-4..=1.0).contains(&step)
+        })?;
+        check(
+            "the number of pieces",
+            count as f64,
+            "at least 1",
+            |count| count >= 1.0,
+        )?;
         check_finite("coefficients", self.pieces.as_flattened(), |_| true)?;
         if let Some(widths) = &self.widths {
             check_finite("widths of at least 0", widths, |w| w >= 0.0)?;

@@ -233,12 +233,15 @@ impl Beyond<'_> {
         let ahead = (fastest / gained).ceil().min(longest) as usize;
         let on_lap = last.rem_euclid(knots) as usize;
         let knot = |ahead: usize| {
-            let index = if self.closed {
-                (on_lap + ahead) % self.curvature.len()
+            let index = last + ahead as f64;
+            let curvature = if self.closed {
+                self.curvature[(on_lap + ahead) % self.curvature.len()]
+            } else if index < 0.0 {
+                0.0
             } else {
-                (last + ahead as f64) as usize
+                self.curvature.get(index as usize).copied().unwrap_or(0.0)
             };
-            straight.in_bend(self.curvature.get(index).copied().unwrap_or(0.0))
+            straight.in_bend(curvature)
         };
         let mut next = knot(ahead);
         let mut square = next.cornering(self.limits);

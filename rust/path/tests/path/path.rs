@@ -251,6 +251,20 @@ fn a_path_made_of_the_parts_of_another_one_has_the_same_bits() {
 }
 
 #[test]
+fn a_path_shorter_than_any_vehicle_is_an_error() {
+    let line = |length: f64| {
+        let points = [0.0, 0.3, 0.6, 1.0].map(|share| [share * length, 0.0]);
+        Path::from_points(&points, false, None)
+    };
+    line(0.101).unwrap();
+    let error = line(0.099).unwrap_err().to_string();
+    assert!(
+        error.contains("the path's length") && error.contains("at least 0.1 m"),
+        "{error}"
+    );
+}
+
+#[test]
 fn parts_of_which_no_path_consists_are_an_error() {
     let parts = RoundedRectangle::default().path().unwrap().parts();
     let error = |change: fn(&mut PathParts)| {
@@ -266,7 +280,15 @@ fn parts_of_which_no_path_consists_are_an_error() {
     assert_eq!(named(error(|parts| parts.step = 0.0)), "step");
     assert_eq!(named(error(|parts| parts.step = f64::NAN)), "step");
     let none = error(|parts| parts.pieces.clear());
-    assert_eq!(named(none), "the path's length");
+    assert_eq!(named(none), "the number of pieces");
+    // A planner of the speed has 200 m of knots, one at the end of each piece.
+    for step in [1e-9, 1e12] {
+        let parts = PathParts {
+            step,
+            ..parts.clone()
+        };
+        assert_eq!(named(Path::from_parts(parts).unwrap_err()), "step");
+    }
     let nan = error(|parts| parts.pieces[3][1][2] = f64::NAN);
     assert_eq!(named(nan), "coefficients");
     assert!(matches!(

@@ -97,6 +97,27 @@ fn a_bend_or_an_end_behind_the_plan_is_reached_without_more_than_the_planned_bra
 }
 
 #[test]
+fn on_a_lap_a_bend_behind_the_plan_is_reached_without_more_than_the_planned_braking() {
+    // Two straights of 800 m, which are joined by half circles of 8 m.
+    let half = |centre: f64, side: f64| {
+        (0..=16).map(move |i| {
+            let angle = std::f64::consts::PI * f64::from(i) / 16.0;
+            [centre + side * 8.0 * angle.sin(), side * -8.0 * angle.cos()]
+        })
+    };
+    let points: Vec<_> = (1..80)
+        .map(|i| [10.0 * f64::from(i), -8.0])
+        .chain(half(800.0, 1.0))
+        .chain((1..80).map(|i| [800.0 - 10.0 * f64::from(i), 8.0]))
+        .chain(half(0.0, -1.0))
+        .collect();
+    let path = Path::from_points(&points, true, None).unwrap();
+    let (limits, friction) = (limits(), 0.16);
+    let allowed = limits.braking * limits.grip * friction * STANDARD_GRAVITY;
+    assert!(hardest_braking(&path, &limits, friction, 2.0 * path.length()) < 1.01 * allowed);
+}
+
+#[test]
 fn a_standing_vehicle_drives_off() {
     let speeds = plan(&lap(), 0.0, Some(0.0), 0.8);
     assert!(speeds[0] > 0.0 && speeds[1] > 1.0);
