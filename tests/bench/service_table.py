@@ -303,7 +303,9 @@ ROWS = {
         "one worker, and at 3 times its capacity", "90 % in time, least share 80 %", one_worker
     ),
     "flood": Row(
-        "a vehicle floods at 10 times; one is there twice", "others' p99 2 times, no miss", flooded
+        "one vehicle asks 10 times as often as the others; two programs drive as one vehicle",
+        "p99 of the others at most 2 times as large, no miss",
+        flooded,
     ),
     "faults": Row("replicas killed and frozen", "1 tail tick each, no stop", faults),
     "routers": Row("router killed and started again", "outage 1 s", routers),

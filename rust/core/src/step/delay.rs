@@ -89,8 +89,10 @@ impl Delay {
             Some(newer) => at(newer)[STEERING],
             None => rows.x[DELTA],
         };
-        let steering = self.between(after, oldest[STEERING]);
-        advance(&mut x, steering, oldest, self.part, change);
+        if self.part > 0.0 {
+            let steering = self.between(after, oldest[STEERING]);
+            advance(&mut x, steering, oldest, self.part, change);
+        }
         for j in (0..self.periods).rev() {
             advance(&mut x, at(j)[STEERING], at(j), 1.0, change);
         }

@@ -26,16 +26,16 @@ const ACTIVATION_DISTANCE: f64 = 1e-3;
 /// Largest number of steps that refine the multipliers.
 const MAX_REFINEMENTS: u32 = 15;
 
-/// Horizons up to this are left to the active-set method alone, however many rows contradict the working set. Measured: at
-/// a horizon of 10 this is faster in the median and at 99 %, at 20 and 40 it is slower at 99 %.
+/// Up to this horizon the number of contradicting rows is not limited. Measured: at a horizon of 10 this is faster in the
+/// median and at 99 %, at 20 and 40 it is slower at 99 %.
 const SHORT_HORIZON: usize = 12;
 
 /// Largest number of contradicting rows at a longer horizon. Measured: beyond it the changes cost more than the
 /// interior-point method.
 const MAX_CONTRADICTIONS: usize = 60;
 
-/// Largest number of changes of one start, at short horizons for each stage. Their time is then at most that of the
-/// interior-point method.
+/// Largest number of changes after one start of the method, and, at a short horizon, for each of its stages. This many changes
+/// take at most as long as the interior-point method.
 const MAX_EXCHANGES: usize = 32;
 const MAX_EXCHANGES_SHORT: usize = 6;
 
