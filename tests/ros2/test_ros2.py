@@ -210,6 +210,8 @@ def test_a_drive_without_a_topic_for_commands_is_an_error() -> None:
     [
         ("--odometry /odom --path /odom", "--odometry and --path are both /odom"),
         ("--ackermann /x --control /x", "--ackermann and --control are both /x"),
+        ("--path plan", "--path: topic 'plan': expected a fully qualified name"),
+        ("--odometry=", "--odometry: topic '': expected a fully qualified name"),
         ("--seconds nan", "--seconds is nan"),
         ("--seconds -1", "--seconds is -1"),
     ],

@@ -45,10 +45,7 @@ class Topic:
         """Raise `InvalidArgumentError` if domain or name are not those of ROS 2."""
         if not 0 <= self.domain <= _LARGEST_DOMAIN:
             raise InvalidArgumentError(f"domain {self.domain}: expected 0 to {_LARGEST_DOMAIN}")
-        if not _TOPIC.fullmatch(self.name):
-            raise InvalidArgumentError(
-                f"topic {self.name!r}: expected a fully qualified name such as /vehicle/odometry"
-            )
+        check_topic(self.name)
 
     @property
     def dds_type(self) -> str:
@@ -60,6 +57,19 @@ class Topic:
     def key(self) -> str:
         """The key on which messages are published."""
         return f"{self.domain}{self.name}/{self.dds_type}/{type_hash(self.type)}"
+
+
+def check_topic(name: str) -> None:
+    """Check the name of a topic.
+
+    Raises:
+        InvalidArgumentError: for a name that is not fully qualified, or that ROS 2 does not allow.
+
+    """
+    if not _TOPIC.fullmatch(name):
+        raise InvalidArgumentError(
+            f"topic {name!r}: expected a fully qualified name such as /vehicle/odometry"
+        )
 
 
 def check_node(name: str) -> None:

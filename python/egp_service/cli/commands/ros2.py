@@ -111,14 +111,6 @@ def ros2(
     """
     from egp_service._core import EgpError, Library
 
-    topics = {
-        "--odometry": odometry,
-        "--path": path,
-        "--steering": steering,
-        "--ackermann": ackermann,
-        "--control": control,
-    }
-    _check_topics({option: topic for option, topic in topics.items() if topic})
     if seconds is not None and not 0.0 < seconds < math.inf:
         raise EgpError(f"--seconds is {seconds}: expected a number above 0")
     loaded = Library.load(library)
@@ -130,6 +122,11 @@ def ros2(
     from egp_service.ros2.node import Node
     from egp_service.vehicle import read_vehicle
 
+    topics = {"--odometry": odometry, "--path": path}
+    if steering is not None:
+        topics["--steering"] = steering
+    commands = {"--ackermann": ackermann, "--control": control}
+    _check_topics(topics | {option: topic for option, topic in commands.items() if topic})
     car = loaded.parameters if vehicle is None else read_vehicle(vehicle)
     drive = Drive(
         vehicle=car,
@@ -176,9 +173,15 @@ def ros2(
 
 
 def _check_topics(topics: "Mapping[str, str]") -> None:
-    """Check that no topic has messages of two types."""
+    """Check the names of topics, and that no topic has messages of two types."""
     from egp_service._core import EgpError
+    from egp_service.ros2.rmw_zenoh import check_topic
 
+    for option, topic in topics.items():
+        try:
+            check_topic(topic)
+        except EgpError as error:
+            raise EgpError(f"{option}: {error}") from None
     for (first, topic), (second, other) in combinations(topics.items(), 2):
         if topic == other:
             raise EgpError(
