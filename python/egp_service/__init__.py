@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 from egp_service._core import (
     EgpError,
+    Friction,
     InvalidArgumentError,
     Library,
     LibraryError,
@@ -20,6 +21,7 @@ from egp_service._core import (
     RoadBelief,
     SpeedPlanner,
     SpeedProfile,
+    VehicleLostError,
     VehicleParameters,
     horizon_reference,
 )
@@ -29,9 +31,10 @@ from egp_service._core import (
 os.environ.setdefault("ZENOH_RUNTIME", "(rx: (worker_threads: 8))")
 
 if TYPE_CHECKING:
-    from egp_service.control.client import ServiceUnreachableError, VehicleClient
+    from egp_service.control.client import VehicleClient
     from egp_service.control.controller import Controller
     from egp_service.control.fleet_map import FleetMap
+    from egp_service.control.network import ServiceUnreachableError
     from egp_service.control.recorder import Recorder
     from egp_service.control.status import StatusPublisher
     from egp_service.control.step import Step
@@ -40,7 +43,7 @@ else:
         "Controller": "egp_service.control.controller",
         "FleetMap": "egp_service.control.fleet_map",
         "Recorder": "egp_service.control.recorder",
-        "ServiceUnreachableError": "egp_service.control.client",
+        "ServiceUnreachableError": "egp_service.control.network",
         "StatusPublisher": "egp_service.control.status",
         "Step": "egp_service.control.step",
         "VehicleClient": "egp_service.control.client",
@@ -62,6 +65,7 @@ __all__ = [
     "Controller",
     "EgpError",
     "FleetMap",
+    "Friction",
     "InvalidArgumentError",
     "Library",
     "LibraryError",
@@ -76,6 +80,7 @@ __all__ = [
     "StatusPublisher",
     "Step",
     "VehicleClient",
+    "VehicleLostError",
     "VehicleParameters",
     "horizon_reference",
 ]

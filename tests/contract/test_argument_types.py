@@ -6,7 +6,7 @@ import copy
 import pickle
 from collections import UserDict
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 import pytest
@@ -17,6 +17,7 @@ from egp_service import (
     InvalidArgumentError,
     Plant,
     Recorder,
+    StatusPublisher,
     VehicleClient,
 )
 from egp_service.control.recorded import read_recording
@@ -54,6 +55,11 @@ def reference(controller: Controller) -> np.ndarray[Any, np.dtype[np.float64]]:
         (lambda: VehicleClient.connect(NOBODY, gate=NOTHING), "gate: expected a mapping .*None"),
         (lambda: Controller(DEMO_LIBRARY, gate=FIVE), "gate: expected a mapping .* int"),
         (lambda: FleetMap(NOBODY, NOTHING, road="r", vehicle="v"), "RoadBelief"),
+        (
+            lambda: FleetMap(FIVE, NOTHING, road="r", vehicle="v"),
+            "endpoints: expected a text .* int",
+        ),
+        (lambda: StatusPublisher(NOTHING), "controller: expected StepController, .*None"),
         (lambda: TrackEnvironment(NOTHING), "NoneType"),
         (lambda: Recorder("none.mcap", NOTHING), "controller: expected StepController, .*None"),
     ],
@@ -81,6 +87,19 @@ def test_a_recorder_names_the_argument_that_it_cannot_record(
             recorder.add(step, X, text)
         recorder.add(step, X, np.float32(0.5))  # type: ignore[arg-type]
     assert len(read_recording(tmp_path / "a.mcap").steps) == 1
+
+
+def test_an_interruption_while_an_argument_is_read_is_no_error_of_the_argument(
+    controller: Controller,
+) -> None:
+    class Interrupted:
+        def __array__(self, *_: object, **__: object) -> NoReturn:
+            raise KeyboardInterrupt
+
+    state: Any = Interrupted()
+    with pytest.raises(KeyboardInterrupt):
+        controller.step(state, reference(controller))
+    assert controller.step(X, reference(controller)).mode == "normal"
 
 
 def test_a_gate_is_any_mapping() -> None:

@@ -216,14 +216,14 @@ def test_no_certificate_forges_what_services_and_vehicles_publish(tmp_path: Path
                 fleet="f",
                 vehicle="a",
                 gate=GATE,
-                zenoh_file=vehicle_file,
+                zenoh_file=str(vehicle_file),
                 timeout=PATIENCE,
             )
         )
         steps = drive(vehicle)
         assert sum(step.status == "solved" for step in steps) >= len(steps) - 1
         status = running.enter_context(
-            StatusPublisher(vehicle, endpoint, fleet="f", vehicle="a", zenoh_file=vehicle_file)
+            StatusPublisher(vehicle, endpoint, fleet="f", vehicle="a", zenoh_file=str(vehicle_file))
         )
         files = [own / "vehicles" / "f@b.json5", own / "operator.json5"]
         rogues = [running.enter_context(rogue(file, endpoint)) for file in files]
@@ -278,7 +278,7 @@ def test_the_map_takes_reports_under_the_name_of_the_certificate_only(tmp_path: 
             vehicle=vehicle,
             fleet="f",
             timeout=timeout,
-            zenoh_file=files[file],
+            zenoh_file=str(files[file]),
         )
 
     path = build_path(load_scenario("random"))

@@ -19,9 +19,9 @@ import zenoh
 
 from egp_service import Controller, EgpError, InvalidArgumentError, VehicleClient
 from egp_service._core.testing import live_key
-from egp_service.control.client import Announcement, Network, ServiceUnreachableError
 from egp_service.control.endpoints import free_endpoint
 from egp_service.control.inbox import Inbox
+from egp_service.control.network import Announcement, Network, ServiceUnreachableError
 from egp_service.control.service_process import ServiceProcess
 from egp_service.control.session import session_config
 from egp_service.simulation.closed_loop import drive
@@ -218,7 +218,8 @@ def test_a_handler_of_a_signal_may_reset_within_a_step(service: ServiceProcess) 
         freeze_service(service)
 
         def handle(*_: object) -> None:
-            if not client._stepping:  # noqa: SLF001 - a busy machine has not begun the step
+            frame = sys._getframe()  # noqa: SLF001
+            if not client._is_within_step(frame):  # noqa: SLF001 - the machine may be busy
                 signal.setitimer(signal.ITIMER_REAL, 0.05)
                 return
             client.reset()

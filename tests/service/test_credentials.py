@@ -102,7 +102,7 @@ def test_a_router_does_not_take_the_file_of_another_program(tmp_path: Path, name
 
     own = secrets(tmp_path / "own", "tls/127.0.0.1:7447")
     with pytest.raises(EgpError, match=rf"{name}.json5 has the mode 'peer'.*state router.json5"):
-        Router([], (), own / f"{name}.json5")
+        Router([], (), str(own / f"{name}.json5"))
 
 
 def test_calls_at_the_same_time_complete_one_folder(tmp_path: Path) -> None:

@@ -33,7 +33,9 @@ def test_a_lost_answer_is_asked_for_again_while_the_vehicle_waits() -> None:
 
     with zenoh.open(session_config([], 5.0, {"listen/endpoints": [endpoint]})) as session:
         queryable = session.declare_queryable("egp/**", answer)
-        with FleetMap(endpoint, RoadBelief(PATH), road="r", vehicle="v", timeout=6.0) as fleet:
+        # It connects to every endpoint; nobody listens at the first one.
+        belief, endpoints = RoadBelief(PATH), [free_endpoint(), endpoint]
+        with FleetMap(endpoints, belief, road="r", vehicle="v", timeout=6.0) as fleet:
             assert not fleet.answered
             assert fleet.fetch()
             assert fleet.answered

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import gc
+import os
 import signal
 import time
+import warnings
+import weakref
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -11,13 +15,14 @@ import numpy as np
 import pytest
 import zenoh
 
-from egp_service import Controller, VehicleClient
+from egp_service import Controller, EgpError, VehicleClient
 from egp_service._core import VehicleParameters, decode_request
 from egp_service._core.testing import live_key
-from egp_service.control.client import Announcement
+from egp_service.control.network import Announcement
 from egp_service.control.service_process import ServiceProcess
 from egp_service.shipped import DEMO_LIBRARY
 from frozen import freeze
+from patience import PATIENCE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -100,6 +105,60 @@ def test_a_controller_leaves_no_command_of_an_interrupted_step_behind() -> None:
             step(controller)
         assert len(decode_request(step(controller).request).history_z) == 0
         assert len(decode_request(step(controller).request).history_z) == 1
+
+
+def test_whatever_place_a_signal_interrupts_the_next_step_has_a_command() -> None:
+    rng = np.random.default_rng(0)
+    with Controller(DEMO_LIBRARY, gate=GATE) as controller:
+        step(controller)
+        interrupted = 0
+        before = signal.signal(signal.SIGALRM, interrupt)
+        try:
+            for _ in range(1500):
+                try:
+                    signal.setitimer(signal.ITIMER_REAL, rng.uniform(1e-5, 6e-4))
+                    step(controller)
+                    signal.setitimer(signal.ITIMER_REAL, 0.0)
+                except InterruptionError:
+                    interrupted += 1
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            signal.signal(signal.SIGALRM, before)
+        assert interrupted > 100
+        assert step(controller).mode in ("normal", "tail")
+
+
+def test_a_client_that_is_no_longer_used_is_collected(service: ServiceProcess) -> None:
+    client = VehicleClient.connect(service.endpoint, gate=GATE)
+    assert step(client).mode == "normal"
+    network = weakref.ref(client._network)  # noqa: SLF001
+    session = network().session  # type: ignore[union-attr]
+    del client
+    gc.collect()
+    assert network() is None
+    session.close()
+
+
+def test_a_forked_process_gets_an_error_and_can_close(client: VehicleClient) -> None:
+    assert step(client).mode == "normal"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of a fork beside threads, which this test is about
+        child = os.fork()
+    if child == 0:
+        try:
+            with pytest.raises(EgpError, match="forked"):
+                step(client)
+            client.close()
+            os._exit(0)
+        finally:
+            os._exit(1)
+    deadline = time.monotonic() + PATIENCE
+    while (ended := os.waitpid(child, os.WNOHANG))[0] == 0:
+        if time.monotonic() > deadline:
+            os.kill(child, signal.SIGKILL)
+        time.sleep(0.05)
+    assert ended[1] == 0
+    assert step(client).mode == "normal"
 
 
 def hold_up(

@@ -301,7 +301,7 @@ def test_a_step_without_a_service_says_why_it_has_no_plan(tmp_path: Path) -> Non
     ours = tmp_path / "car.jsonl"
     with (
         ServiceProcess(LIBRARY, {}) as service,
-        VehicleClient.connect(service.endpoint, gate=GATE, traces=ours) as client,
+        VehicleClient.connect(service.endpoint, gate=GATE, traces=str(ours)) as client,
     ):
         vehicle, end = Standstill(client, 5.0), time.monotonic() + PATIENCE
         assert vehicle.step().status == "solved"

@@ -7,60 +7,27 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Sequence
-from contextlib import suppress
-from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Self
 
-import zenoh
-
-from egp_service._core import (
-    LIVE_KEYS,
-    Decision,
-    Discovery,
-    Driver,
-    EgpError,
-    InvalidArgumentError,
-    decode_ready,
-    replica_of_live,
-)
-from egp_service.control.inbox import Inbox
-from egp_service.control.session import (
-    direct,
-    look_again,
-    open_session,
-    session_config,
-    zenoh_reason,
-)
+from egp_service._core import Decision, Discovery, Driver, InvalidArgumentError, decode_ready
+from egp_service.control.endpoints import SERVICE_PORT, endpoint_list
+from egp_service.control.network import Announcement, Network, no_link, unreachable
+from egp_service.control.session import session_config
 from egp_service.control.step import StepController, as_dict
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    import os
+    from collections.abc import Callable, Mapping, Sequence
 
-    from egp_service._core import Query
     from egp_service.control.step import Measured
 
-REQUEST_ENCODING = "application/protobuf;egp.v1.StepRequest"
 # Time that a replica may take to answer what it serves, and time between two rounds of questions.
 _QUESTION_SECONDS = 1.0
 _POLL_SECONDS = 0.05
 # Events that are passed to the driver in each period even if its deadline has passed, so that they
 # do not pile up. Further ones are passed until the deadline, and the next step goes on.
 _FEW_EVENTS = 64
-_NO_LINK = (
-    "there is no link to a service: no program listens, or, with TLS, a certificate is missing, "
-    "has expired or is of another authority"
-)
-
-
-class ServiceUnreachableError(EgpError):
-    """No replica of the service gave a usable answer."""
-
-    replicas: Mapping[str, str] = MappingProxyType({})
-    """The replicas that announced themselves, each with the reason why it cannot be used."""
 
 
 class LostTracesWarning(UserWarning):
@@ -103,10 +70,10 @@ class VehicleClient(StepController):
         hedge: float = 0.5,
         want_sigma: bool = False,
         timeout: float = 10.0,
-        key_file: str | Path | None = None,
-        zenoh_file: Path | None = None,
+        key_file: str | os.PathLike[str] | None = None,
+        zenoh_file: str | os.PathLike[str] | None = None,
         zenoh_config: Mapping[str, object] | None = None,
-        traces: Path | None = None,
+        traces: str | os.PathLike[str] | None = None,
         traces_share: float = 1.0,
     ) -> Self:
         """Connect to zenoh at `endpoints`, such as `tcp/127.0.0.1:7447`, and ask for the library.
@@ -140,17 +107,9 @@ class VehicleClient(StepController):
                 usable answer within `timeout` seconds.
 
         """
-        if not isinstance(endpoints, str | Sequence):
-            raise TypeError(
-                "endpoints: expected a text such as 'tcp/127.0.0.1:7447' or a sequence of texts, "
-                f"got an object of the type {type(endpoints).__name__}"
-            )
-        names = [endpoints] if isinstance(endpoints, str) else list(endpoints)
+        names = endpoint_list(endpoints, SERVICE_PORT, configured=bool(zenoh_file or zenoh_config))
         gate = as_dict(gate)
-        if not (names or zenoh_file or zenoh_config):
-            raise InvalidArgumentError(
-                "endpoints: expected at least one, such as 'tcp/127.0.0.1:7447', or a zenoh_file"
-            )
+        spans = None if traces is None else Path(traces)
         deadline = time.monotonic() + timeout
         keys = None if key_file is None else _read_keys(key_file)
         try:
@@ -174,18 +133,19 @@ class VehicleClient(StepController):
                 hedge=hedge,
                 want_sigma=want_sigma,
                 keys=keys,
-                traces=traces,
+                traces=spans,
                 traces_share=traces_share,
             )
             for replica in discovery.live:
                 driver.replica_appeared(replica)
             driver.replica_fits(fitting)
-            return cls(network, ready, driver, traces)
+            return cls(network, ready, driver, spans)
         except BaseException:
             network.close()
             raise
 
     def _decide(self, start: float, budget: float, measured: Measured) -> Decision:
+        self._network.check_process()
         due = start + budget
         few = max(0, _FEW_EVENTS - self._tell_what_came(_FEW_EVENTS, due))
         self._driver.tick(start, due, *measured)
@@ -236,122 +196,7 @@ class VehicleClient(StepController):
             )
 
 
-@dataclass(frozen=True, slots=True)
-class Announcement:
-    """A replica that announces itself or, if `appeared` is false, no longer does."""
-
-    at: float
-    replica: str
-    appeared: bool
-
-    def __call__(self, driver: Driver) -> None:
-        """Call `replica_appeared` or `replica_gone` of the driver."""
-        if self.appeared:
-            driver.replica_appeared(self.replica)
-        else:
-            driver.replica_gone(self.at, self.replica)
-
-
-class Network:
-    """A zenoh session, and its events in order as calls of a driver."""
-
-    def __init__(self, config: zenoh.Config, endpoints: Sequence[str], patience: float) -> None:
-        """Open the session and follow the replicas that announce themselves.
-
-        `endpoints` are those that an error names; `patience` is that of `open_session`.
-        """
-        self._inbox: Inbox[Callable[[Driver], None]] = Inbox()
-        try:
-            self.session = open_session(config, patience)
-        except zenoh.ZError as error:
-            raise _unreachable(
-                endpoints, f"zenoh cannot open a session ({zenoh_reason(error)})"
-            ) from error
-        self._subscriber = self.session.liveliness().declare_subscriber(
-            LIVE_KEYS, direct(self._on_token), history=True
-        )
-
-    def next(self, patience: float) -> Callable[[Driver], None] | None:
-        """Return the next event, or None if there is none within `patience` seconds."""
-        event = self._inbox.get(patience)
-        if isinstance(event, Announcement) and not event.appeared:
-            self._look_again(event.replica)
-        return event
-
-    def _look_again(self, replica: str) -> None:
-        key = LIVE_KEYS.replace("*", replica)
-        # zenoh calls `silence` in its own thread if no answer came in time. It only adds an event,
-        # so that the thread that handles events repeats the question.
-        silence = partial(self._inbox.put, lambda _: self._look_again(replica))
-        look_again(self.session, key, self._on_token, silence)
-
-    def ask(self, query: Query) -> None:
-        """Send a query, whose answers become events; one that cannot be sent ends immediately."""
-
-        def deliver(reply: zenoh.Reply) -> None:
-            now, sample, error = time.monotonic(), reply.ok, reply.err
-            if sample is not None:
-                attachment = sample.attachment
-                extra = b"" if attachment is None else attachment.to_bytes()
-                payload = sample.payload.to_bytes()
-                self._inbox.put(lambda driver: driver.replied(now, query.id, payload, extra))
-            elif error is not None:
-                payload = error.payload.to_bytes()
-                self._inbox.put(lambda driver: driver.refused(now, query.id, payload))
-
-        def end() -> None:
-            now = time.monotonic()
-            self._inbox.put(lambda driver: driver.ended(now, query.id))
-
-        try:
-            self.session.get(
-                query.key,
-                direct(deliver, end),
-                payload=query.payload,
-                attachment=query.attachment or None,
-                encoding=REQUEST_ENCODING,
-                timeout=query.listen,
-                # zenoh would wait for up to five seconds while a link to a silent replica is full.
-                congestion_control=zenoh.CongestionControl.DROP,
-                # By default zenoh keeps a reply until all copies of the question have ended.
-                consolidation=zenoh.ConsolidationMode.NONE,
-            )
-        except zenoh.ZError:
-            end()
-
-    def ask_and_wait(
-        self, key: str, attachment: bytes, patience: float
-    ) -> Iterator[tuple[bytes, bytes]]:
-        """Give payload and attachment of each answer that comes within `patience` seconds."""
-        for reply in self.session.get(
-            key,
-            attachment=attachment or None,
-            timeout=patience,
-            consolidation=zenoh.ConsolidationMode.NONE,
-        ):
-            if reply.ok is not None:
-                extra = reply.ok.attachment
-                yield reply.ok.payload.to_bytes(), b"" if extra is None else extra.to_bytes()
-
-    def has_link(self) -> bool:
-        """Tell whether the session has a link to another one."""
-        info = self.session.info
-        return bool(info.peers_zid() or info.routers_zid())
-
-    def close(self) -> None:
-        """Close the session; zenoh waits for up to 10 s if a link has been cut."""
-        with suppress(zenoh.ZError):  # the link was not closed in time, and ends with its lease
-            self.session.close()  # type: ignore[no-untyped-call]
-
-    def _on_token(self, sample: zenoh.Sample) -> None:
-        replica = replica_of_live(str(sample.key_expr))
-        if replica is None:
-            return
-        appeared = sample.kind == zenoh.SampleKind.PUT
-        self._inbox.put(Announcement(time.monotonic(), replica, appeared))
-
-
-def _read_keys(file: str | Path) -> str:
+def _read_keys(file: str | os.PathLike[str]) -> str:
     try:
         return Path(file).read_text(encoding="utf-8-sig")
     except OSError as error:
@@ -386,13 +231,6 @@ def _first_ready(
             if discovery.is_usable(replica, answer, attachment):
                 return replica, answer
     known = discovery.unusable or network.has_link()
-    error = _unreachable(endpoints, discovery.error if known else _NO_LINK)
+    error = unreachable(endpoints, discovery.error if known else no_link(endpoints))
     error.replicas = discovery.unusable
     raise error
-
-
-def _unreachable(endpoints: Sequence[str], reason: str) -> ServiceUnreachableError:
-    return ServiceUnreachableError(
-        f"{reason}; looked at {', '.join(endpoints) or 'the endpoints of the zenoh file'}; "
-        "start a replica with `egp serve LIBRARY --listen ENDPOINT` or check the address"
-    )

@@ -5,13 +5,11 @@ from __future__ import annotations
 import re
 import secrets
 import socket
+from collections.abc import Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from egp_service._core import EgpError, InvalidArgumentError
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 SERVICE_PORT: Final = 7447
 MAP_PORT: Final = 7448
@@ -36,6 +34,37 @@ _LARGEST_PORT: Final = 65535
 _FREE_PORTS: Final = range(20_000, 32_000)
 _given: Final[set[int]] = set()
 _TCP: Final = re.compile(r"(?:tcp|tls)/\[?(?P<host>[^\]/]*)\]?:(?P<port>\d+)([?#].*)?")
+
+
+def endpoint_list(endpoints: str | Sequence[str], port: int, *, configured: bool) -> list[str]:
+    """Return the endpoints that an argument states; `port` is as for `check_endpoints`.
+
+    `configured` states whether there is a configuration of zenoh, whose endpoints are used if the
+    argument states none.
+
+    Raises:
+        TypeError: unless the argument is a text or a sequence.
+        InvalidArgumentError: as `check_endpoints`, and if there is neither an endpoint nor a
+            configuration.
+
+    """
+    if not isinstance(endpoints, str | Sequence):
+        raise TypeError(
+            f"endpoints: expected a text such as 'tcp/127.0.0.1:{port}' or a sequence of texts, "
+            f"got an object of the type {type(endpoints).__name__}"
+        )
+    found = [endpoints] if isinstance(endpoints, str) else list(endpoints)
+    if not (found or configured):
+        raise InvalidArgumentError(
+            f"endpoints: expected at least one, such as 'tcp/127.0.0.1:{port}', or a zenoh_file"
+        )
+    check_endpoints(found, port)
+    return found
+
+
+def endpoint_names(endpoints: Sequence[str]) -> str:
+    """Name the endpoints of `endpoint_list` in a message."""
+    return ", ".join(endpoints) or "the endpoints of the zenoh file"
 
 
 def check_endpoints(endpoints: Sequence[str], port: int = SERVICE_PORT) -> None:

@@ -3,21 +3,28 @@
 from __future__ import annotations
 
 import logging
+import os
 import time
-from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Final, Self
 
 import zenoh
 
 from egp_service._core import EgpError, FleetExchange, FleetNotice
-from egp_service.control.endpoints import MAP_PORT, check_endpoints
+from egp_service.control.endpoints import MAP_PORT, endpoint_list, endpoint_names
 from egp_service.control.inbox import Inbox
-from egp_service.control.session import direct, open_session, session_config, zenoh_reason
+from egp_service.control.session import (
+    FORKED,
+    close_session,
+    direct,
+    is_forked,
+    open_session,
+    session_config,
+    zenoh_reason,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-    from pathlib import Path
+    from collections.abc import Callable, Mapping, Sequence
 
     from egp_service._core import MapQuery, RoadBelief
 
@@ -39,7 +46,7 @@ class FleetMap:
 
     def __init__(
         self,
-        endpoint: str,
+        endpoints: str | Sequence[str],
         belief: RoadBelief,
         *,
         road: str,
@@ -47,10 +54,12 @@ class FleetMap:
         fleet: str = "default",
         lifetime: float = 1800.0,
         timeout: float = 3.0,
-        zenoh_file: Path | None = None,
+        zenoh_file: str | os.PathLike[str] | None = None,
         zenoh_config: Mapping[str, object] | None = None,
     ) -> None:
-        """Connect to the map service at `endpoint`, such as `tcp/127.0.0.1:7448`.
+        """Connect to the map service at `endpoints`, such as `tcp/127.0.0.1:7448`, or to routers.
+
+        Without `endpoints` those of `zenoh_file` are used.
 
         All vehicles of a fleet name a road alike; `vehicle` must be unique in the fleet.
         `lifetime`, s, is that of the service: reports age while it is silent. `timeout`, s, limits
@@ -59,12 +68,14 @@ class FleetMap:
         recalled so far is not sent, because its age is not known.
 
         Raises:
-            InvalidArgumentError: for names, a configuration or times that cannot be used.
+            TypeError: for endpoints or a belief of another type.
+            InvalidArgumentError: for endpoints, names, a configuration or times that cannot be
+                used, and without endpoints unless there is a configuration.
             EgpError: if zenoh opens no session.
 
         """
-        check_endpoints([endpoint], MAP_PORT)
-        config = session_config([endpoint], timeout, zenoh_config or {}, zenoh_file)
+        names = endpoint_list(endpoints, MAP_PORT, configured=bool(zenoh_file or zenoh_config))
+        config = session_config(names, timeout, zenoh_config or {}, zenoh_file)
         self._exchange = FleetExchange(
             time.monotonic(),
             belief,
@@ -80,10 +91,11 @@ class FleetMap:
             self._session = open_session(config, timeout)
         except zenoh.ZError as error:
             raise EgpError(
-                f"zenoh cannot open a session with {endpoint}: {zenoh_reason(error)}"
+                f"zenoh cannot open a session with {endpoint_names(names)}: {zenoh_reason(error)}"
             ) from error
+        self._process = os.getpid()
         self._subscriber = self._session.declare_subscriber(
-            self._exchange.publications, direct(self._on_change)
+            self._exchange.publications, direct(_changing(self._inbox, self._exchange))
         )
 
     def fetch(self) -> bool:
@@ -139,12 +151,13 @@ class FleetMap:
         if self._closed:
             return
         self._closed = True
+        if is_forked(self._process):
+            return
         try:
             self._exchange.finish(time.monotonic())
             self._wait()
         finally:
-            with suppress(zenoh.ZError):  # a link that was cut cannot be closed, and ends by itself
-                self._session.close()  # type: ignore[no-untyped-call]
+            close_session(self._session)
 
     def __enter__(self) -> Self:
         """Return the map."""
@@ -158,6 +171,8 @@ class FleetMap:
     def _check_open(self) -> None:
         if self._closed:
             raise EgpError("the fleet's map was closed: make another FleetMap")
+        if is_forked(self._process):
+            raise EgpError(FORKED)
 
     def _wait(self) -> None:
         """Handle events until the exchange no longer waits for any."""
@@ -208,5 +223,17 @@ class FleetMap:
     def _ended(self, query: int) -> None:
         self._exchange.ended(time.monotonic(), query)
 
-    def _on_change(self, sample: zenoh.Sample) -> None:
-        self._inbox.put(partial(self._exchange.changed, sample.payload.to_bytes()))
+
+def _changing(
+    inbox: Inbox[Callable[[], None]], exchange: FleetExchange
+) -> Callable[[zenoh.Sample], None]:
+    """Return a function that makes an event of a publication of the map.
+
+    zenoh keeps it as long as the session. It does not hold the `FleetMap`, so that one that is no
+    longer used is collected, which closes its session.
+    """
+
+    def on_change(sample: zenoh.Sample) -> None:
+        inbox.put(partial(exchange.changed, sample.payload.to_bytes()))
+
+    return on_change

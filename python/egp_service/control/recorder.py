@@ -29,7 +29,7 @@ from mcap_protobuf.schema import register_schema
 
 from egp_service._core import InvalidArgumentError, vector_instructions
 from egp_service.control.messages import message_class
-from egp_service.control.step import Step, StepController
+from egp_service.control.step import Step, StepController, check_type
 from egp_service.control.step_record import measured_state, step_record
 from egp_service.control.toml_text import dumps
 from egp_service.files import replacing
@@ -89,7 +89,7 @@ class Recorder:
                 recorder; a file that is there then stays as it is.
 
         """
-        _check_type("controller", controller, StepController)
+        check_type("controller", controller, StepController)
         about = _about(controller) | _checked_notes(notes or {})
         self._path = path
         self._channels: dict[str, int] = {}
@@ -121,7 +121,7 @@ class Recorder:
             OSError: if the file cannot be written to, which ends the recording.
 
         """
-        _check_type("step", step, Step)
+        check_type("step", step, Step)
         state = self._checked(x, time)
         request, reply = message_class("StepRequest"), message_class("StepReply")
         replies = [*step.late, *([] if step.reply is None else [step.reply])]
@@ -170,7 +170,7 @@ class Recorder:
             raise InvalidArgumentError(
                 f"the recording has ended, because {self._ended}: make another `Recorder`"
             )
-        _check_type("time", time, Real)
+        check_type("time", time, Real)
         if not 0.0 <= time < LATEST:
             raise InvalidArgumentError(
                 f"expected for time the seconds since the start of the recording, from 0 to less "
@@ -288,7 +288,7 @@ def _described(
 
 def _checked_notes(notes: Mapping[str, Mapping[str, str]]) -> dict[str, dict[str, str]]:
     """Return the notes if they can be written."""
-    _check_type("notes", notes, Mapping)
+    check_type("notes", notes, Mapping)
     checked = {}
     for name, texts in notes.items():
         if name in (ABOUT, SETTINGS):
@@ -309,14 +309,6 @@ def timestamp(time: float) -> Timestamp:
     stamp = Timestamp()
     stamp.FromNanoseconds(round(time * NANOSECONDS))
     return stamp
-
-
-def _check_type(name: str, value: object, expected: type) -> None:
-    if not isinstance(value, expected):
-        raise TypeError(
-            f"{name}: expected {expected.__name__}, got an object of the type "
-            f"{type(value).__name__}"
-        )
 
 
 def _about(controller: StepController) -> dict[str, dict[str, str]]:

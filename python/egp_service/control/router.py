@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 import zenoh
 
 from egp_service._core import EgpError, InvalidArgumentError
-from egp_service.control.session import session_config, zenoh_reason
+from egp_service.control.session import (
+    LARGEST_AT_SERVICE,
+    close_session,
+    session_config,
+    zenoh_reason,
+)
 
 if TYPE_CHECKING:
+    import os
     from collections.abc import Sequence
-    from pathlib import Path
-
-# Larger than any message of the service, and as its own limit: a client gets an error for a request
-# that is too large, and not silence.
-_MAX_MESSAGE_BYTES = 1 << 23
 
 
 class Router:
@@ -27,7 +29,10 @@ class Router:
     """
 
     def __init__(
-        self, listen: Sequence[str], connect: Sequence[str] = (), zenoh_file: Path | None = None
+        self,
+        listen: Sequence[str],
+        connect: Sequence[str] = (),
+        zenoh_file: str | os.PathLike[str] | None = None,
     ) -> None:
         """Listen on endpoints such as `tcp/0.0.0.0:7449`, and connect to other routers.
 
@@ -44,10 +49,10 @@ class Router:
         if listen:
             more["listen/endpoints"] = list(listen)
         if zenoh_file is None:
-            more["transport/link/rx/max_message_size"] = _MAX_MESSAGE_BYTES
+            more["transport/link/rx/max_message_size"] = LARGEST_AT_SERVICE
         config = session_config(connect, 0.0, more, zenoh_file)
         if zenoh_file is not None:
-            _check_mode(zenoh_file)
+            _check_mode(Path(zenoh_file))
         try:
             self._session = zenoh.open(config)
         except zenoh.ZError as error:
@@ -59,7 +64,7 @@ class Router:
 
     def close(self) -> None:
         """Close all links."""
-        self._session.close()  # type: ignore[no-untyped-call]
+        close_session(self._session)
 
     def __enter__(self) -> Self:
         """Return the router."""

@@ -31,6 +31,9 @@ def main() -> None:
         alone.set()
         os.kill(os.getpid(), signal.SIGTERM)
 
+    # Until the service has handlers of its own, for instance while it imports, SIGTERM would end
+    # this process before its folder is removed.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     threading.Thread(target=wait, daemon=True).start()
     try:
         runpy.run_module("egp_service", run_name="__main__", alter_sys=True)

@@ -1,11 +1,13 @@
-"""Sessions of zenoh: their configuration, and how they are opened."""
+"""Sessions of zenoh: their configuration, and how they are opened and closed."""
 
 from __future__ import annotations
 
 import contextlib
 import json
+import os
 import re
 import time
+from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
@@ -17,7 +19,6 @@ from egp_service.control.endpoints import check_endpoints
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
-    from pathlib import Path
 
 _PLACE: Final = re.compile(r" at /\S+\.rs:\d+\.?")
 _PAUSE_SECONDS = 0.1
@@ -26,17 +27,27 @@ _TOKEN_SECONDS = 1.0
 # How long a link may take to become a session, ms, at the key of zenoh's configuration.
 _OPEN_TIMEOUT = "transport/unicast/open_timeout"
 _LEAST_OPEN_MS = 500
-# Above the size of any message of the service; receiving a larger one could delay a step.
-_MAX_MESSAGE_BYTES = 1 << 20
+LARGEST_AT_CLIENT: Final = 1 << 20
+"""Largest message that a vehicle receives, bytes: above the size of any reply of the service.
+Receiving a larger one could delay a step."""
+LARGEST_AT_SERVICE: Final = 1 << 23
+"""Largest message that a service or a router receives, bytes. It is larger than any message of a
+vehicle, so that a vehicle gets an error for a request that is too large, and not silence."""
+LEASE_MS: Final = 2000
+"""Time without a message after which a link counts as lost, ms."""
+RETRY: Final[Mapping[str, int]] = MappingProxyType(
+    {"period_init_ms": 50, "period_max_ms": 200, "period_increase_factor": 2}
+)
+"""Times between two attempts to connect, as zenoh's configuration has them."""
 _DEFAULTS: Mapping[str, object] = MappingProxyType(
     {
         "mode": "peer",
         "listen/endpoints": [],
-        "connect/retry": {"period_init_ms": 50, "period_max_ms": 200, "period_increase_factor": 2},
+        "connect/retry": dict(RETRY),
         "scouting/multicast/enabled": False,
         "transport/shared_memory/enabled": False,
-        "transport/link/tx/lease": 2000,
-        "transport/link/rx/max_message_size": _MAX_MESSAGE_BYTES,
+        "transport/link/tx/lease": LEASE_MS,
+        "transport/link/rx/max_message_size": LARGEST_AT_CLIENT,
     }
 )
 
@@ -56,7 +67,7 @@ def session_config(
     endpoints: Sequence[str],
     timeout: float,
     more: Mapping[str, object],
-    file: Path | None = None,
+    file: str | os.PathLike[str] | None = None,
 ) -> zenoh.Config:
     """Configure a peer with its own link to every endpoint, or read a configuration from `file`.
 
@@ -82,7 +93,7 @@ def session_config(
         settings |= _DEFAULTS
     else:
         try:
-            config = zenoh.Config.from_file(file)
+            config = zenoh.Config.from_file(Path(file))
         except zenoh.ZError as error:
             raise InvalidArgumentError(
                 f"zenoh file {file}: {refused_setting(str(error))}"
@@ -126,6 +137,29 @@ def open_session(config: zenoh.Config, patience: float) -> zenoh.Session:
             if not client or time.monotonic() > late:
                 raise
         time.sleep(_PAUSE_SECONDS)
+
+
+def close_session(session: zenoh.Session) -> None:
+    """Close a session, for which zenoh waits for up to 10 s if a link has been cut."""
+    # zenoh's error says that a link was not closed in time. The link then ends with its lease, and
+    # the error must not replace the result of what the session was used for.
+    with contextlib.suppress(zenoh.ZError):
+        session.close()  # type: ignore[no-untyped-call]
+
+
+def is_forked(process: int) -> bool:
+    """Whether this process is another one than `process`, in which a session was opened.
+
+    The threads of zenoh do not exist in a forked process, so that each of its functions would wait
+    without an end there.
+    """
+    return os.getpid() != process
+
+
+FORKED: Final = (
+    "this process was forked from the one that connected, and zenoh does not work in it: start "
+    'processes with multiprocessing.get_context("spawn"), and connect in each of them'
+)
 
 
 def zenoh_reason(error: Exception) -> str:

@@ -15,20 +15,32 @@ from typing import TYPE_CHECKING, Final, Self
 import zenoh
 
 from egp_service._core import EgpError, vehicle_key, vehicle_road_key
-from egp_service.control.endpoints import MONITOR_ENDPOINT
+from egp_service.control.endpoints import (
+    MONITOR_ENDPOINT,
+    MONITOR_PORT,
+    endpoint_list,
+    endpoint_names,
+)
 from egp_service.control.messages import message_class
-from egp_service.control.session import direct, open_session, session_config, zenoh_reason
+from egp_service.control.session import (
+    close_session,
+    direct,
+    open_session,
+    session_config,
+    zenoh_reason,
+)
+from egp_service.control.step import StepController, check_type
 from egp_service.control.step_record import measured_state, step_record
 from egp_service.quantities import POSITION
 
 if TYPE_CHECKING:
+    import os
     from collections.abc import Mapping, Sequence
-    from pathlib import Path
 
     from google.protobuf.message import Message
     from numpy.typing import ArrayLike
 
-    from egp_service.control.step import Step, StepController
+    from egp_service.control.step import Step
 
 VERSION: Final = 1
 INTERVAL: Final = 0.1
@@ -59,7 +71,7 @@ class StatusPublisher:
         fleet: str = "default",
         vehicle: str = "vehicle-1",
         road: Message | None = None,
-        zenoh_file: Path | None = None,
+        zenoh_file: str | os.PathLike[str] | None = None,
         zenoh_config: Mapping[str, object] | None = None,
     ) -> None:
         """Publish the steps of `controller` to `endpoints`, a monitor's or a router's.
@@ -69,12 +81,15 @@ class StatusPublisher:
         tried again and again meanwhile.
 
         Raises:
-            InvalidArgumentError: for names, endpoints or a configuration that cannot be used.
+            TypeError: for a controller or endpoints of another type.
+            InvalidArgumentError: for names, endpoints or a configuration that cannot be used, and
+                without endpoints unless there is a configuration.
             EgpError: if zenoh opens no session.
 
         """
+        check_type("controller", controller, StepController)
+        names = endpoint_list(endpoints, MONITOR_PORT, configured=bool(zenoh_file or zenoh_config))
         key, road_key = vehicle_key(fleet, vehicle), vehicle_road_key(fleet, vehicle)
-        names = [endpoints] if isinstance(endpoints, str) else list(endpoints)
         self._common = {
             "version": VERSION,
             "run": secrets.randbits(64),
@@ -91,7 +106,7 @@ class StatusPublisher:
             self._session = open_session(config, 0.0)
         except zenoh.ZError as error:
             raise EgpError(
-                f"zenoh cannot open a session with {names}: {zenoh_reason(error)}"
+                f"zenoh cannot open a session with {endpoint_names(names)}: {zenoh_reason(error)}"
             ) from error
         self._publisher = self._session.declare_publisher(
             key,
@@ -178,7 +193,7 @@ class StatusPublisher:
             counts = self._counts()
             last.MergeFrom(message_class("VehicleStatus")(**counts, ended=True))
             self._publisher.put(last.SerializeToString())
-        self._session.close()  # type: ignore[no-untyped-call]
+        close_session(self._session)
 
     def __enter__(self) -> Self:
         """Use as a context manager to close at the end."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 import threading
 import time
 from abc import ABC, abstractmethod
@@ -18,6 +19,7 @@ from egp_service._core import EgpError, Friction
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
+    from types import FrameType
 
     from _typeshed import DataclassInstance
     from numpy.typing import ArrayLike, NDArray
@@ -244,7 +246,7 @@ class StepController(ABC):
         """Make what all controllers have."""
         # The lock is re-entrant: a signal handler may call a method while another one runs.
         self._lock = threading.RLock()
-        self._stepping = self._to_reset = self._closed = False
+        self._to_reset = self._closed = False
 
     def __repr__(self) -> str:
         """Return members, period and horizon in one line, and whether it was closed."""
@@ -269,11 +271,11 @@ class StepController(ABC):
         `road_friction` (T+2, 2) is what is known about the road: rows of friction coefficient and
         standard deviation, first of the road on which the last transitions were measured, then at
         each row of the reference (see `RoadBelief.preview`). The model of each stage follows it.
-        Call it once each period. It returns within `deadline` seconds (default: 0.8 `dt`), with a
-        command whatever happens to the service; without a service it takes as long as the control
-        step, and `deadline` is only stated in the request. With a deadline of 0 or less a command
-        is returned, too; values above 10 s count as 10 s. A measured state that is not finite, or
-        is outside its domain, is not an error: its command is a stop.
+        Call it once each period. It returns within `deadline` seconds (default: the property
+        `deadline`), with a command whatever happens to the service; without a service it takes as
+        long as the control step, and `deadline` is only stated in the request. With a deadline of 0
+        or less a command is returned, too; values above 10 s count as 10 s. A measured state that
+        is not finite, or is outside its domain, is not an error: its command is a stop.
 
         Raises:
             InvalidArgumentError: if an argument has the wrong shape, `deadline` is not finite, or
@@ -290,12 +292,11 @@ class StepController(ABC):
             budget = self._driver.budget if deadline is None else deadline
             if math.isfinite(budget):
                 budget = min(max(budget, 0.0), _LONGEST)
-            if self._stepping:
+            if self._is_within_step(sys._getframe(1)):  # noqa: SLF001
                 raise EgpError(
                     "this thread is within a step of this controller, which a signal interrupts; "
                     "step again after it"
                 )
-            self._stepping = True
             try:
                 decision = self._decide(start, budget, (x, reference, widths, road_friction))
                 return Step.of(decision, self._driver.weights, time.monotonic() - start)
@@ -304,7 +305,6 @@ class StepController(ABC):
                 self._driver.abandon()
                 raise
             finally:
-                self._stepping = False
                 if self._to_reset:
                     self._to_reset = False
                     self._driver.reset()
@@ -327,10 +327,22 @@ class StepController(ABC):
         step.
         """
         with self._lock:
-            if self._stepping:
+            if self._is_within_step(sys._getframe(1)):  # noqa: SLF001
                 self._to_reset = True
             else:
                 self._driver.reset()
+
+    def _is_within_step(self, frame: FrameType | None) -> bool:
+        """Whether a frame is that of a step of this controller, or of what such a step calls.
+
+        A mark that the step sets and takes away again could stay: Python calls handlers of signals
+        at any call of a function, and what they raise ends the step there.
+        """
+        while frame is not None:
+            if frame.f_code is StepController.step.__code__ and frame.f_locals["self"] is self:
+                return True
+            frame = frame.f_back
+        return False
 
     def close(self) -> None:
         """Release the controller's resources; no step can follow."""
@@ -343,6 +355,15 @@ class StepController(ABC):
     def __exit__(self, *_: object) -> None:
         """Close."""
         self.close()
+
+
+def check_type(name: str, value: object, expected: type) -> None:
+    """Raise `TypeError` if the argument `name` has another type than the expected one."""
+    if not isinstance(value, expected):
+        raise TypeError(
+            f"{name}: expected {expected.__name__}, got an object of the type "
+            f"{type(value).__name__}"
+        )
 
 
 def as_dict(gate: Mapping[str, float]) -> dict[str, float]:

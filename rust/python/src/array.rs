@@ -6,6 +6,7 @@ use numpy::ndarray::{ArrayD, ArrayViewD, Dimension, IntoDimension, Ix1, Ix2, Ix3
 use numpy::{AllowTypeChange, Element, IntoPyArray, PyArrayLike, PyReadonlyArray};
 use numpy::{PyArray, PyArray1, PyArray2, PyArray3, PyArrayDescrMethods, PyArrayMethods};
 use numpy::{PyUntypedArray, PyUntypedArrayMethods, get_array_module};
+use pyo3::exceptions::{PyOverflowError, PyTypeError, PyValueError};
 use pyo3::intern;
 use pyo3::prelude::*;
 
@@ -43,6 +44,13 @@ impl<'a, 'py, D: Dimension + 'py> FromPyObject<'a, 'py> for Argument<'py, D> {
                 .call_method1(intern!(py, "asarray"), (object,))
                 .and_then(|made| Ok(made.cast_into::<PyUntypedArray>()?))
                 .map_err(|error| {
+                    // Others, such as an interruption by a signal, say nothing about the argument.
+                    let of_argument = error.is_instance_of::<PyTypeError>(py)
+                        || error.is_instance_of::<PyValueError>(py)
+                        || error.is_instance_of::<PyOverflowError>(py);
+                    if !of_argument {
+                        return error;
+                    }
                     let kind = object.get_type().name();
                     kind.map_or_else(
                         |error| error,
