@@ -176,7 +176,7 @@ def test_skill_on_a_log_fits() -> None:
     names = (NO_CHANGE, OURS, PAPER, VEHICLE, LINEAR, f"member of {SURFACES[0]}", "wet [/x]")
     rms = {name: np.full((5, 3), 10.0 + k) for k, name in enumerate(names)}
     likelihood = dict.fromkeys(names, -12.345)
-    table = skill_table(SURFACES[0], Skill((0.04, 0.2, 0.5, 1.0, 2.0), rms, likelihood))
+    table = skill_table(SURFACES[0], Skill((0.04, 0.2, 0.5, 1.0, 2.0), rms, likelihood, 5.0))
     check_table(table)
 
 
@@ -192,7 +192,7 @@ def test_skill_without_a_duration_has_a_row_for_each_output() -> None:
 
 
 def test_a_log_without_delays_is_described() -> None:
-    assert delay_sentence(Delays()).startswith("no delay was found in the log")
+    assert delay_sentence(Delays()).startswith("no delay of the log is known")
 
 
 def test_the_best_controllers_of_all_experiments_fit() -> None:
@@ -242,7 +242,7 @@ def test_a_narrow_terminal_shows_rows_as_paragraphs() -> None:
 
 
 def test_brackets_in_names_are_shown() -> None:
-    skill = Skill((), {NO_CHANGE: np.zeros((0, 3))}, {NO_CHANGE: 0.0})
+    skill = Skill((), {NO_CHANGE: np.zeros((0, 3))}, {NO_CHANGE: 0.0}, 5.0)
     for table in (summary_table([("a [/b]", summary())]), skill_table("a [/b]", skill)):
         assert "a [/b]" in " ".join(printed(table))
 

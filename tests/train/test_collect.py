@@ -86,7 +86,7 @@ def test_transitions_are_the_plants() -> None:
     one = sample(WET, 1, settle=0, keep=2)
     plant = Plant(1)
     v_x, v_y, omega, delta = one.z[0, :4]
-    plant.reset(0.0, 0.0, 0.0, v_x, omega, v_y, delta)
+    plant.reset(0.0, 0.0, 0.0, v_x, yaw_rate=omega, v_y=v_y, delta=delta)
     for k in range(2):
         before = plant.vehicle_state
         plant.step(one.z[k, 4:], 0.02, 0.5)

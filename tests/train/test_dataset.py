@@ -197,6 +197,15 @@ def test_metadata_that_are_no_object_are_an_error(tmp_path: Path) -> None:
         Dataset.read(path)
 
 
+def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+    for name in ("own.parquet", "own.csv"):
+        path = tmp_path / name
+        path.symlink_to("/proc/self/mem")  # a regular file, of which a read at its start fails
+        for read in (Dataset.read, read_table):
+            with pytest.raises(EgpError, match=rf"{name}: Input/output error"):
+                read(path)
+
+
 def test_refuses_files_that_are_none(tmp_path: Path) -> None:
     with pytest.raises(EgpError, match="no such file"):
         Dataset.read(tmp_path / "none.parquet")

@@ -384,6 +384,7 @@ def test_a_log_without_a_measured_sideslip_is_an_error_before_the_delays_are_sea
         {"kernel": "cosine"},
         {"mean": "zero"},
         {"max_points": 3},
+        {"max_points": 5001},
         {"restarts": -1},
         {"validation_fraction": 1.0},
         {"seed": -1},

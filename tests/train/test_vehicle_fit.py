@@ -45,11 +45,15 @@ def predict(z: NDArray[np.float64], vehicle: NDArray[np.float64]) -> NDArray[np.
 
 
 def drive(
-    vehicle: NDArray[np.float64], spread: NDArray[np.float64], noise: float, seed: int
+    vehicle: NDArray[np.float64],
+    spread: NDArray[np.float64],
+    noise: float,
+    seed: int,
+    speed: float = 15.0,
 ) -> Dataset:
-    """Transitions of a vehicle (19,) from independent states."""
+    """Transitions of a vehicle (19,) from independent states about this speed, m/s."""
     rng = np.random.default_rng(seed)
-    z = np.array([15.0, *np.zeros(5)]) + spread * rng.uniform(-1.0, 1.0, (1500, 6))
+    z = np.array([speed, *np.zeros(5)]) + spread * rng.uniform(-1.0, 1.0, (1500, 6))
     y = predict(z, vehicle) + noise * rng.standard_normal((1500, 3))
     return Dataset(
         z=z,
@@ -139,10 +143,35 @@ def test_a_vehicle_file_narrows_the_body_only() -> None:
     assert changed == {"m", "l_f", "l_r", "k²"}
 
 
-def test_errors_for_a_vehicle_outside_the_range() -> None:
-    toy_car = VehicleParameters(**(TOY.fields() | {"mass": 290.0}))
-    with pytest.raises(EgpError, match=r"vehicle's m is 290: expected 300 to 4000"):
-        fit_vehicle([drive(DRY, WHOLE, 0.0, 0)], toy_car, rngs(1))
+# A car of 1:10 and a kart: vehicle file, fitted parameters, and the spread of the inputs about the
+# speed.
+MODEL_CAR = VehicleParameters(
+    **TOY.fields() | {"mass": 3.74, "yaw_inertia": 0.047, "l_f": 0.159, "l_r": 0.171, "width": 0.27}
+)
+KART = VehicleParameters(
+    **TOY.fields() | {"mass": 250.0, "yaw_inertia": 90.0, "l_f": 0.55, "l_r": 0.5, "width": 1.2}
+)
+TYRES = [0.8, 0.9, 1.2, 1.2, 0.9, 9.0, 1.4, 0.8, 1.1, 0.9, 10.0, 1.4]
+
+
+@pytest.mark.parametrize(
+    ("known", "height", "speed", "spread"),
+    [
+        (MODEL_CAR, 0.05, 3.0, [1.8, 0.5, 3.0, 0.3, 20.0, 1.0]),
+        (KART, 0.25, 8.0, [5.0, 0.6, 1.0, 0.2, 1200.0, 0.5]),
+    ],
+)
+def test_small_vehicles_are_found_around_their_file(
+    known: VehicleParameters, height: float, speed: float, spread: list[float]
+) -> None:
+    gyration = known.yaw_inertia / known.mass
+    body = [1.03 * known.mass, 1.02 * known.l_f, 0.98 * known.l_r, 0.9 * gyration, height]
+    vehicle = np.array([*body, *TYRES, 0.1, 1e-3])
+    log = drive(vehicle, np.array(spread), 0.003, 0, speed)
+    (found,) = fit_vehicle([log], known, rngs(1))
+    assert not any(p.at_bound for p in found.parameters)
+    np.testing.assert_allclose(found.values[:4], body[:4], rtol=0.05)
+    np.testing.assert_allclose(found.values[[9, 10, 14, 15]], vehicle[[9, 10, 14, 15]], rtol=0.1)
 
 
 def test_repeated_errors_count_once() -> None:
@@ -205,7 +234,9 @@ def test_an_assumed_mass_is_not_determined() -> None:
 
 @pytest.mark.parametrize("width", [-1.0, 0.0, 182.0, float("nan"), float("inf")])
 def test_a_width_is_checked_before_the_fit(width: float) -> None:
-    with pytest.raises(EgpError, match=f"the width is {width:g} m: expected 0.05 to 10 m"):
+    least, most = VehicleParameters.ranges()["width"]
+    expected = f"the width is {width:g} m: expected {least:g} to {most:g} m; check the unit"
+    with pytest.raises(EgpError, match=expected):
         vehicle_lines([], width=width)
 
 

@@ -178,6 +178,8 @@ def merge_tiles(
 class SpeedPlanner:
     """Plans the speed over the next 250 m of a path, once in each control period.
 
+    If the smallest radius r of the path is less than 8 m, it is 31 r.
+
     `grip`, `v_max`, `end_speed` (m/s) and `tyres` are those of `SpeedProfile`. The path's zones of
     friction are not used. Without `end_speed` a plan takes no account of the end of an open path,
     behind which it goes straight on: for a vehicle that shall stop there, state 0.

@@ -31,6 +31,7 @@ class Plant:
         y: float,
         yaw: float,
         v: float,
+        *,
         yaw_rate: float = 0.0,
         v_y: float = 0.0,
         delta: float = 0.0,

@@ -3,7 +3,8 @@
 from typing import final
 
 GRAVITY: float  # of all vehicle models, m/s²
-MIN_SLIP_SPEED: float  # m/s; slip angles are computed with at least this speed
+FULL_SIZE: float  # distance of the axles in m from which on `slip_speed` is `MIN_SLIP_SPEED`
+MIN_SLIP_SPEED: float  # m/s
 STANDARD_GRAVITY: float  # of speed profiles, and the unit "g" of logs, m/s²
 
 @final
@@ -53,6 +54,12 @@ class VehicleParameters:
         """Return the smallest and the largest value of each field: model cars to lorries."""
     def fields(self) -> dict[str, float]:
         """Return all values by the names of the arguments, in their units."""
+    @property
+    def slip_speed(self) -> float:
+        """Lowest speed, m/s, at which slip angles are computed: 3 sqrt(min(1, (l_f + l_r) / 2 m)).
+
+        Speeds of vehicles of similar shape are proportional to the root of their size (Froude).
+        """
     def gate_limits(self) -> dict[str, float]:
         """Return the limits of a gate that allows exactly what this vehicle can do.
 

@@ -9,7 +9,6 @@ from rich.markup import escape
 
 from egp_service.cli.narrow_table import NarrowTable
 from egp_service.data.alignment import Delays
-from egp_service.data.channels import MOVING
 from egp_service.quantities import GP_OUTPUT, MOTION, STATE
 from egp_service.training.open_loop import NO_CHANGE
 from egp_service.training.validation import ROLLOUT
@@ -233,7 +232,7 @@ def delay_sentence(delays: Delays | None) -> str:
     if delays is None:
         return "the data are simulated: inputs are used as they are"
     if delays == Delays():
-        return "no delay was found in the log: its inputs are used as they are"
+        return "no delay of the log is known: its inputs are used as they are"
     moved = (
         f"inputs are moved before training: steering by {delays.measurement:+.3f} s, because the "
         f"measured states are late, and the force by {delays.force:+.3f} s"
@@ -269,9 +268,8 @@ def skill_warnings(label: str, name: str, skill: Skill) -> list[str]:
     Without a duration, because the data have no transition that counts, one sentence says so.
     """
     if not skill.durations:
-        return [
-            f"{label}: the held-out data have no transitions above {MOVING:g} m/s to compare on"
-        ]
+        least = f"{skill.least_speed:.3g} m/s"
+        return [f"{label}: the held-out data have no transitions above {least} to compare on"]
     return [
         f"{label}: no skill in {output} after {duration:g} s: the error is {ours:.4f}, "
         f"that of no change {least:.4f}"

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from egp_service.data.dataset import Dataset
 
-MOVING: Final = 5.0
-"""Least speed, m/s, of transitions that count: slip angles mean little below it."""
 MAD: Final = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 _ORDER: Final = 4
@@ -42,7 +40,7 @@ class Channels:
 
 
 def channels(dataset: Dataset) -> Channels:
-    """Estimate noise and delays from the transitions above 5 m/s.
+    """Estimate noise and delays from the transitions that count.
 
     The noise is what fourth differences of the states leave, which remove cubic motion (Hall, Kay
     and Titterington 1990); noise with a longer correlation than a few periods counts as motion. It
@@ -52,7 +50,7 @@ def channels(dataset: Dataset) -> Channels:
     """
     dt = dataset.provenance.dt
     z, y = dataset.z, dataset.y
-    pairs = dataset.follows & (z[1:, V_X] > MOVING)
+    pairs = dataset.follows & dataset.counts[1:]
     before, after = y[:-1][pairs], y[1:][pairs]
     correlation = np.array([_correlation(before[:, o], after[:, o]) for o in range(NY)])
     return Channels(
@@ -69,7 +67,7 @@ def _noise(dataset: Dataset) -> NDArray[np.float64]:
     if len(dataset) <= _ORDER:
         return unknown
     states, y = dataset.z[:, :NY], dataset.y + dataset.by_gravity
-    whole = dataset.unbroken(_ORDER) & (states[_ORDER:, V_X] > MOVING)
+    whole = dataset.unbroken(_ORDER) & dataset.counts[_ORDER:]
     chained = np.all(np.isclose(states[1:], states[:-1] + y[:-1], rtol=0.0, atol=_SAME), axis=1)
     whole &= np.lib.stride_tricks.sliding_window_view(chained, _ORDER).all(axis=1)
     fourth = np.diff(states, n=_ORDER, axis=0)[whole]
@@ -92,7 +90,7 @@ def _lag(dataset: Dataset, cause: NDArray[np.float64], effect: NDArray[np.float6
     longest = round(_LONGEST / dataset.provenance.dt)
     rows = np.arange(longest, len(cause) - longest)
     unbroken = dataset.unbroken(2 * longest)
-    rows = rows[unbroken & (dataset.z[rows, V_X] > MOVING)]
+    rows = rows[unbroken & dataset.counts[rows]]
     if len(rows) == 0:
         return float("nan")
     lags = np.arange(-longest, longest + 1)

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import polars as pl
 
-from egp_service._core import GRAVITY, EgpError
-from egp_service.files import replacing
+from egp_service._core import GRAVITY, MIN_SLIP_SPEED, EgpError
+from egp_service.files import read_bytes, replacing
 from egp_service.quantities import GP_INPUT, GP_OUTPUT, NY, NZ, TILT
 
 if TYPE_CHECKING:
@@ -27,9 +27,13 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from egp_service._core import VehicleParameters
+
 SCHEMA: Final = 1
 METADATA_KEY: Final = "egp"
 _PERIODS: Final = (1e-3, 1.0)  # s, the shortest and the longest that a library may have
+LEAST_SPEED: Final = 5.0
+"""`least_speed` of a vehicle of full size, m/s."""
 _LONGEST_LABEL: Final = 64  # characters of a surface's name
 _INDEX: Final = ("trajectory", "step")
 # By the annotation of a field of `Provenance`: types in JSON, and how they are called.
@@ -103,7 +107,9 @@ class Dataset:
     `tilt` (n, 2) is the grade and bank of the road in rad, as `quantities.TILT` defines them, or
     None if they were not measured. With them `y` is the change on a level road, so that members
     describe the vehicle and not the place. `gaps` has the lengths in s of the gaps of an imported
-    log; the file does not state them.
+    log; the file does not state them. Where models are fitted and compared, transitions above
+    `least_speed` (m/s) count, which the file does not state either: slip angles mean little below
+    it.
     """
 
     z: NDArray[np.float64]
@@ -113,6 +119,7 @@ class Dataset:
     provenance: Provenance
     gaps: tuple[float, ...] = ()
     tilt: NDArray[np.float64] | None = None
+    least_speed: float = LEAST_SPEED
 
     def __post_init__(self) -> None:
         """Check shapes and values; users of a dataset need no further checks."""
@@ -148,6 +155,11 @@ class Dataset:
         return len(self.z)
 
     @property
+    def counts(self) -> NDArray[np.bool_]:
+        """Whether each transition (n,) is above `least_speed`."""
+        return np.asarray(self.z[:, 0] > self.least_speed)
+
+    @property
     def follows(self) -> NDArray[np.bool_]:
         """Whether each transition but the first (n - 1,) continues the one before it."""
         return self.unbroken(1)
@@ -171,6 +183,13 @@ class Dataset:
             found[:, 0] = -GRAVITY * self.provenance.dt * np.sin(grade)
             found[:, 1] = -GRAVITY * self.provenance.dt * np.cos(grade) * np.sin(bank)
         return found
+
+    def of_vehicle(self, vehicle: VehicleParameters | None) -> Dataset:
+        """Return the dataset with the least speed of a vehicle, in proportion to its slip speed."""
+        if vehicle is None:
+            return self
+        share = vehicle.slip_speed / MIN_SLIP_SPEED
+        return dataclasses.replace(self, least_speed=LEAST_SPEED * share)
 
     def select(self, rows: NDArray[Any]) -> Dataset:
         """Return the given rows (indices or mask) as a dataset of the same provenance."""
@@ -226,7 +245,8 @@ class Dataset:
         """Read and check a file of `write` or of another tool with the same schema.
 
         Raises:
-            EgpError: if the file is missing or invalid; the message names the file and the problem.
+            EgpError: if the file is missing, unreadable or invalid; the message names the file and
+                the problem.
 
         """
         path = Path(path)
@@ -234,7 +254,7 @@ class Dataset:
             raise EgpError(f"{path}: this is a folder; name the .parquet file in it")
         if not path.is_file():
             raise EgpError(f"{path}: no such file")
-        content = io.BytesIO(path.read_bytes())
+        content = io.BytesIO(read_bytes(path))
         try:
             provenance, tilted = _provenance(pl.read_parquet_metadata(content))
             frame = pl.read_parquet(content)
@@ -320,6 +340,7 @@ def merge(datasets: Sequence[Dataset]) -> Dataset:
         ),
         gaps=tuple(gap for dataset in datasets for gap in dataset.gaps),
         tilt=np.concatenate(tilts) if tilts else None,
+        least_speed=datasets[0].least_speed,
     )
 
 

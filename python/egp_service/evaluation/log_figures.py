@@ -8,7 +8,6 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.special import ndtri
 
-from egp_service.data.channels import MOVING
 from egp_service.files import replacing
 from egp_service.quantities import MOTION_LABELS, NORMAL_95
 from egp_service.training.open_loop import NO_CHANGE
@@ -28,11 +27,11 @@ _OUTSIDE: Final = 4.0  # largest residual that is shown, in standard deviations
 def draw_log(outcome: LogOutcome, path: Path) -> None:
     """Draw a log's held-out changes: over time, against predictions, residuals, coverage.
 
-    Without changes above 5 m/s these axes are empty. The last row has the errors of all predictors
+    Without changes that count these axes are empty. The last row has the errors of all predictors
     after rollouts and, if there are, the weights of the other logs' members over time.
     """
     held = outcome.member.validation
-    moving = held.z[:, 0] > MOVING
+    moving = held.counts
     measured, predicted = held.y[moving], outcome.predicted[moving]
     deviation = outcome.deviation[moving]
     figure = Figure(figsize=(12.0, 17.0), layout="constrained")
@@ -60,7 +59,7 @@ def draw_log(outcome: LogOutcome, path: Path) -> None:
             ax.plot(time, weight, lw=0.8, label=f"member of {name}")
         ax.set(xlabel="s of held-out driving", ylabel="weight", title="weights of other members")
         ax.legend(fontsize="small", loc="upper right")
-    figure.suptitle(f"{outcome.name}: held-out blocks above {MOVING:g} m/s")
+    figure.suptitle(f"{outcome.name}: held-out blocks above {held.least_speed:.3g} m/s")
     with replacing(path) as beside:
         figure.savefig(beside, dpi=110)
 

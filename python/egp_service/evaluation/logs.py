@@ -13,7 +13,7 @@ import numpy as np
 
 from egp_service._core import EgpError, solve_weights
 from egp_service.data.alignment import Delays, align
-from egp_service.data.channels import MOVING, Channels, channels
+from egp_service.data.channels import Channels, channels
 from egp_service.data.dataset import check_one_car
 from egp_service.evaluation.residual import Residual, fit_residual, moving_runs
 from egp_service.quantities import NORMAL_95, NY
@@ -66,7 +66,7 @@ class LogOutcome:
     residual_coverage: NDArray[np.float64]
     """Like `coverage`, with the residual and its variance."""
     coverage: NDArray[np.float64]
-    """Share (3,) of the held-out changes above 5 m/s inside the member's 95 % intervals."""
+    """Share (3,) of the held-out changes that count inside the member's 95 % intervals."""
     predicted: NDArray[np.float64]
     """The member's predictions of the held-out changes (n, 3)."""
     deviation: NDArray[np.float64]
@@ -100,6 +100,7 @@ def evaluate_logs(
     check_one_car([log.provenance for log in logs], "comparison")
     for log in logs:
         check_data(log)
+    logs = [log.of_vehicle(vehicle) for log in logs]
     split = [hold_out(log) for log in logs]
     with one_thread(settings.max_points):
         delays = [find_delays([rest], vehicle) for rest, _ in split]
@@ -150,7 +151,7 @@ def _outcome(
     deviation = np.sqrt(variance + member.noise_variance)
     residual = fit_residual(member.predict_mean, member.dataset)
     with_residual, residual_coverage = _with_residual(member, residual)
-    moving = held.z[:, 0] > MOVING
+    moving = held.counts
     inside = np.abs(held.y - predicted) < NORMAL_95 * deviation
     return LogOutcome(
         name=log.provenance.surface,
@@ -207,8 +208,8 @@ def _with_residual(
 def _consecutive(
     data: Dataset, first: Predictor
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Last changes, z and a constant (n, 10), and errors of `first` (n, 3), above 5 m/s."""
-    rows = np.flatnonzero(data.follows & (data.z[1:, 0] > MOVING)) + 1
+    """Last changes, z and a constant (n, 10), and errors of `first` (n, 3), that count."""
+    rows = np.flatnonzero(data.follows & data.counts[1:]) + 1
     inputs = np.column_stack([data.y[rows - 1], data.z[rows], np.ones(len(rows))])
     return inputs, data.y[rows] - first(data.z[rows])
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from egp_service._core import predict_residual
 from egp_service.data.alignment import consecutive
-from egp_service.data.channels import MOVING
 from egp_service.quantities import NY
 
 if TYPE_CHECKING:
@@ -73,8 +72,8 @@ class Residual:
 
 
 def moving_runs(data: Dataset) -> tuple[Dataset, list[NDArray[np.intp]]]:
-    """Return the transitions above 5 m/s and the rows of each run of consecutive ones."""
-    moving = data.select(data.z[:, 0] > MOVING)
+    """Return the transitions that count and the rows of each run of consecutive ones."""
+    moving = data.select(data.counts)
     return moving, [rows for rows in consecutive(moving) if len(rows) > 1]
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 from egp_service._core import EgpError
-from egp_service.data.channels import MAD, MOVING
+from egp_service.data.channels import MAD
 from egp_service.quantities import GP_OUTPUT, NORMAL_95, NY, NZ
 from egp_service.training.exact_member import START
 from egp_service.training.gaussian_process import Bounds, Hyperparameters, OutputProcess
@@ -92,7 +92,7 @@ def average_member(
     """
     data, validation = part
     rest = data.y - mean.predict(data.z, data.provenance.dt)
-    moving = np.flatnonzero(data.z[:, 0] > MOVING)
+    moving = np.flatnonzero(data.counts)
     if len(moving) == 0:
         moving = np.arange(len(data))
     target_std = rest[moving].std(axis=0)
@@ -135,11 +135,11 @@ def average_member(
 def widening_on(member: TrainedMember) -> NDArray[np.float64]:
     """Return factors (3,) on the noise so that 95 % of the held-out changes are in the intervals.
 
-    The factors on standard deviations are at least 1 and at most 2. Without held-out changes above
-    5 m/s they are 1.
+    The factors on standard deviations are at least 1 and at most 2. Without held-out changes
+    that count they are 1.
     """
     held = member.validation
-    moving = held.z[:, 0] > MOVING
+    moving = held.counts
     if not moving.any():
         return np.ones(NY)
     mean, _, variance = member.predict(held.z[moving])

@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from egp_service._core import EgpError
-from egp_service.data.channels import MOVING
 from egp_service.quantities import GP_INPUT, NY
 from egp_service.training.average_member import (
     ITERATIONS,
@@ -139,9 +138,9 @@ def blocks_to_compare(data: Dataset) -> tuple[Dataset, Dataset]:
     if not skill({}, held).durations:
         raise EgpError(
             f"surface {data.provenance.surface}: models are compared on a held-out trajectory with "
-            f"transitions above {MOVING:g} m/s, and there is none beside those to train on. Record "
-            "more driving above this speed, or train without a comparison (`egp train --mean "
-            "single-track`)"
+            f"transitions above {data.least_speed:.3g} m/s, and there is none beside those to train"
+            " on. Record more driving above this speed, or train without a comparison (`egp train "
+            "--mean single-track`)"
         )
     return rest, held
 
@@ -149,7 +148,7 @@ def blocks_to_compare(data: Dataset) -> tuple[Dataset, Dataset]:
 def hold_out(data: Dataset) -> tuple[Dataset, Dataset]:
     """Split off every fifth trajectory, and at least the last one.
 
-    If none of these has a transition above `MOVING`, the last one that has is split off in their
+    If none of these has a transition that counts, the last one that has is split off in their
     place, unless it is the only one.
 
     Raises:
@@ -167,7 +166,7 @@ def hold_out(data: Dataset) -> tuple[Dataset, Dataset]:
     every = _HELD_OUT_EVERY
     held = numbers[every - 1 :: every] if len(numbers) >= every else numbers[-1:]
     out = np.isin(data.trajectory, held)
-    moving = np.unique(data.trajectory[data.z[:, 0] > MOVING])
+    moving = np.unique(data.trajectory[data.counts])
     if len(moving) > 1 and not np.isin(moving, held).any():
         out = data.trajectory == moving[-1]
     return data.select(~out), data.select(out)

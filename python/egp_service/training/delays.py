@@ -22,7 +22,6 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from egp_service.data.alignment import Delays, align, available, consecutive
-from egp_service.data.channels import MOVING
 from egp_service.training.choice import hold_out
 from egp_service.training.open_loop import linear, student_loss
 from egp_service.training.prior_mean import predict
@@ -45,7 +44,7 @@ _GAIN: Final = 0.02
 _EVIDENCE: Final = 20.0
 _SHORTEST: Final = 2.0  # s of consecutive transitions; less is lost to the shift
 _ROWS: Final = 1000  # transitions of a surface that a vehicle is fitted to
-_FEWEST: Final = 200  # transitions above 5 m/s, each for the fit and for the comparison
+_FEWEST: Final = 200  # transitions that count, each for the fit and for the comparison
 _FILTERS: Final = tuple(0.1 * 2.0 ** (0.5 * k) for k in range(13))  # s; up to 6.4 s
 # Delays of a filtered force in half periods: a difference of states belongs to the middle of two.
 _FILTER_DELAYS: Final = range(-4, 5)
@@ -74,13 +73,19 @@ def find_delays(
     by the same differences. For this only runs count that are 1 s longer than the largest delay.
 
     Raises:
-        VehicleFitError: if `vehicle` is outside the range that a fit searches, or no vehicle fits
-            the logs.
+        VehicleFitError: if no vehicle fits the logs.
 
     """
     runs = (_long_runs(log, _SHORTEST / log.provenance.dt) for log in logs)
     parts = [part for part in runs if part is not None]
     if not parts:
+        _log.warning(
+            "delays are not searched: this needs two trajectories with runs of at least %g s, and "
+            "each with more than %d transitions above %.3g m/s",
+            _SHORTEST,
+            _FEWEST,
+            logs[0].least_speed,
+        )
         return Delays()
     dt = parts[0].provenance.dt
     axles = (1.0, 1.0) if vehicle is None else (vehicle.l_f, vehicle.l_r)
@@ -210,7 +215,7 @@ def _enough(part: Dataset, kept: NDArray[np.bool_]) -> bool:
     if len(np.unique(part.trajectory[kept])) < 2:  # noqa: PLR2004 - one is held out
         return False
     halves = hold_out(part.select(kept))
-    return all(np.sum(half.z[:, 0] > MOVING) > _FEWEST for half in halves)
+    return all(np.sum(half.counts) > _FEWEST for half in halves)
 
 
 def _splits(
@@ -233,7 +238,7 @@ def _splits(
 
 
 def _count(split: Sequence[tuple[Dataset, Dataset]]) -> int:
-    return sum(int(np.sum(held.z[:, 0] > MOVING)) for _, held in split)
+    return sum(int(np.sum(held.counts)) for _, held in split)
 
 
 def _optimum(losses: Callable[[Sequence[float]], _Losses | None], low: float) -> float:
@@ -271,7 +276,7 @@ def _optimum(losses: Callable[[Sequence[float]], _Losses | None], low: float) ->
 
 def _linear_error(train: Dataset, held: Dataset, axles: Sequence[float], output: int) -> float:
     """Loss of a linear model's held-out errors, see `student_loss`."""
-    moving = held.z[:, 0] > MOVING
+    moving = held.counts
     errors = held.y[moving] - linear(train, axles)(held.z[moving])
     return float(student_loss(errors)[output])
 
@@ -288,7 +293,7 @@ def _vehicle_errors(
     vehicles = fit_vehicle(training, vehicle, rngs)
     found = []
     for (_, held), fitted in zip(split, vehicles, strict=True):
-        moving = held.z[:, 0] > MOVING
+        moving = held.counts
         errors: NDArray[np.float64] = held.y[moving] - predict(
             held.z[moving], fitted.values, held.provenance.dt, fitted.steps
         )

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from egp_service.data.channels import MOVING
 from egp_service.quantities import NY
 
 if TYPE_CHECKING:
@@ -47,6 +46,8 @@ class Skill:
     """By predictor: RMS errors of `[v_x, v_y, omega]` (durations, 3)."""
     likelihood: Mapping[str, float]
     """By predictor: mean log likelihood of an error, relative to that of no change, in nats."""
+    least_speed: float
+    """Speed in m/s above which predictions begin."""
 
 
 def skill(predictors: Mapping[str, Predictor], dataset: Dataset) -> Skill:
@@ -63,7 +64,7 @@ def skill(predictors: Mapping[str, Predictor], dataset: Dataset) -> Skill:
     for duration in (dt, *(h for h in HORIZONS if h > 1.5 * dt)):
         periods = round(duration / dt)
         start = starts(dataset, periods, 1 if periods == 1 else _ROLLOUT_STRIDE)
-        start = start[dataset.z[start, 0] > MOVING]
+        start = start[dataset.counts[start]]
         if len(start) == 0:
             continue
         durations.append(duration)
@@ -75,6 +76,7 @@ def skill(predictors: Mapping[str, Predictor], dataset: Dataset) -> Skill:
     }
     return Skill(
         durations=tuple(durations),
+        least_speed=dataset.least_speed,
         rms={
             name: np.array([np.sqrt(np.mean(e**2, axis=0)) for e in own]).reshape(-1, NY)
             for name, own in found.items()
@@ -115,17 +117,20 @@ def linear(dataset: Dataset, axles: Sequence[float]) -> Predictor:
     """Least squares of the changes on z, slip angles and a constant.
 
     `axles` are the distances in m from the centre of mass to the front and the rear axle. Only
-    transitions above `MOVING` count.
+    transitions above `least_speed` count.
     """
-    moving = dataset.z[:, 0] > MOVING
+    moving, least = dataset.counts, dataset.least_speed
     rows = moving if moving.any() else np.ones(len(dataset), dtype=bool)
-    weights = np.linalg.lstsq(_features(dataset.z[rows], axles), dataset.y[rows], rcond=None)[0]
-    return lambda z: np.asarray(_features(z, axles) @ weights)
+    features = _features(dataset.z[rows], axles, least)
+    weights = np.linalg.lstsq(features, dataset.y[rows], rcond=None)[0]
+    return lambda z: np.asarray(_features(z, axles, least) @ weights)
 
 
-def _features(z: NDArray[np.float64], axles: Sequence[float]) -> NDArray[np.float64]:
+def _features(
+    z: NDArray[np.float64], axles: Sequence[float], least_speed: float
+) -> NDArray[np.float64]:
     v_x, v_y, omega, delta = z[:, :4].T
-    v = np.maximum(v_x, MOVING)
+    v = np.maximum(v_x, least_speed)
     front = delta - np.arctan((v_y + axles[0] * omega) / v)
     rear = -np.arctan((v_y - axles[1] * omega) / v)
     return np.column_stack([z, front, rear, np.ones(len(z))])

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import torch
 
-from egp_service._core import GRAVITY, MIN_SLIP_SPEED
+from egp_service._core import FULL_SIZE, GRAVITY, MIN_SLIP_SPEED
 
 if TYPE_CHECKING:
     import numpy as np
@@ -98,7 +98,9 @@ def _euler_step(z: torch.Tensor, parameters: torch.Tensor, dt: float) -> torch.T
     a = force / mass
     driven = force > 0.0
     a_x = a / (1.0 + (a / (GRAVITY * torch.where(driven, drive, brake))) ** 4) ** 0.25
-    v = v_x.clamp(min=MIN_SLIP_SPEED)
+    # `VehicleParameters.slip_speed` of the fitted axles
+    slowest = MIN_SLIP_SPEED * torch.sqrt(((l_f + l_r) / FULL_SIZE).clamp(max=1.0))
+    v = torch.maximum(v_x, slowest)
 
     def lateral(
         position: torch.Tensor, steered: torch.Tensor | float, load: torch.Tensor, axle: int
@@ -116,7 +118,7 @@ def _euler_step(z: torch.Tensor, parameters: torch.Tensor, dt: float) -> torch.T
     ahead = a_x - front * torch.sin(steering) + v_y * omega
     if resistance:
         rolling, drag = resistance
-        ahead = ahead - rolling * (v_x / MIN_SLIP_SPEED).clamp(-1.0, 1.0) - drag * v_x * v_x.abs()
+        ahead = ahead - rolling * (v_x / slowest).clamp(-1.0, 1.0) - drag * v_x * v_x.abs()
     rate = [
         ahead,
         across + rear - v_x * omega,

@@ -47,8 +47,8 @@ _HIDDEN_TEXT: Final = ", or do not show them, as a measured a_x does not"
 _RESERVE: Final = 0.65
 _MOST_SLIP: Final = 0.4
 _BY_HAND: Final = (
-    "and if they are right, write the vehicle's file by hand (`egp train --help` lists its lines) "
-    "and train with --mean constant"
+    "and if they are right, write the vehicle's file by hand (`egp train --help` lists its lines), "
+    "and state it with --known"
 )
 _ORDER: Final = (
     *("mass", "yaw_inertia", "l_f", "l_r", "width", "a_min", "a_max", "power", "a_slew"),
@@ -105,6 +105,7 @@ def vehicle_lines(
         _check_length(data)
         check_magnitudes(data)
         spread(data.y, GP_OUTPUT, data.provenance.surface)
+    surfaces = [data.of_vehicle(known) for data in surfaces]
     rngs = [np.random.default_rng([seed, number]) for number in range(len(surfaces))]
     try:
         fitted = fit_vehicle(surfaces, known, rngs)
@@ -165,12 +166,10 @@ def _fitted(name: str, parameter: FittedParameter, undetermined: str = _UNDETERM
         warnings.append(undetermined)
     if abs(parameter.distance) > 2.0:  # noqa: PLR2004 - standard deviations
         warnings.append(f"{parameter.distance:+.1f} standard deviations from what was known")
-    return Line(
-        name,
-        _rounded(parameter.value),
-        f"fitted, 95 % interval {parameter.low:.4g} to {parameter.high:.4g}",
-        ", ".join(warnings),
-    )
+    # At an end of the range the posterior is cut off, and an interval about its mode means nothing.
+    interval = f", 95 % interval {parameter.low:.4g} to {parameter.high:.4g}"
+    origin = "fitted" if parameter.at_bound else f"fitted{interval}"
+    return Line(name, _rounded(parameter.value), origin, ", ".join(warnings))
 
 
 def _limits(

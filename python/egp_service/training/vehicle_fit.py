@@ -65,7 +65,7 @@ _TOLERANCE: Final = 1e-8
 
 
 class VehicleFitError(EgpError):
-    """A vehicle outside the range that a fit searches, or data that no vehicle fits."""
+    """Data that no vehicle fits."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -139,8 +139,7 @@ def fit_vehicle(
     and a constant slope slow alike; only with a measured tilt the data tell one from the other.
 
     Raises:
-        VehicleFitError: if the fit does not converge, or `vehicle` is outside the range of the
-            search.
+        VehicleFitError: if the fit does not converge.
 
     """
     parts = [_Surface.of(dataset, rng) for dataset, rng in zip(surfaces, rngs, strict=True)]
@@ -236,15 +235,8 @@ class _Problem:
         self._order = [own.index(name) for name in self.names]
         self._centre = np.array([prior[name].centre for name in own])
         widths = np.array([prior[name].width for name in own])
-        low = np.log([PARAMETERS[name].low for name in own] / self._centre)
-        high = np.log([PARAMETERS[name].high for name in own] / self._centre)
-        for name, below, above in zip(own, low, high, strict=True):
-            if not below < 0.0 < above:
-                bounds = PARAMETERS[name]
-                raise VehicleFitError(
-                    f"the vehicle's {name} is {prior[name].centre:g}: expected {bounds.low:g} to "
-                    f"{bounds.high:g}; check the units of its file"
-                )
+        low = np.log([prior[name].low for name in own] / self._centre)
+        high = np.log([prior[name].high for name in own] / self._centre)
         self._own = len(road) + NY
         self.size = len(self._body) + len(surfaces) * self._own
         self._low, self._high = self._all(low, -np.inf), self._all(high, np.inf)

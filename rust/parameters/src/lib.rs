@@ -18,7 +18,7 @@ pub use friction::{
     friction_hypotheses, interpolate_hypotheses,
 };
 pub use surface::{ForceCurve, Surface, SurfaceError};
-pub use vehicle::{ParameterError, VehicleParameters};
+pub use vehicle::{FULL_SIZE, MIN_SLIP_SPEED, ParameterError, VehicleParameters, slip_speed};
 
 /// Gravity of all vehicle models, in m/s²: that of the CommonRoad vehicles.
 pub const GRAVITY: f64 = 9.81;

@@ -64,6 +64,21 @@ pub struct ParameterError {
     pub condition: &'static str,
 }
 
+/// Speed in m/s below which slip angles of full-size vehicles are not defined; see [`slip_speed`].
+pub const MIN_SLIP_SPEED: f64 = 3.0;
+/// Distance of the axles in m from which on a vehicle is full-size.
+pub const FULL_SIZE: f64 = 2.0;
+
+/// The lowest speed, m/s, at which slip angles of a vehicle with this distance of its axles (m) are computed:
+/// [`MIN_SLIP_SPEED`], and for vehicles shorter than [`FULL_SIZE`] proportional to the square root of that distance, as the
+/// speeds of vehicles of similar shape are (Froude's law).
+///
+/// Below it the equations of single-track vehicles use this speed in place of `v_x`, and the bound on the slip is left out,
+/// because slip angles are not defined at standstill.
+pub fn slip_speed(wheelbase: f64) -> f64 {
+    MIN_SLIP_SPEED * (wheelbase / FULL_SIZE).min(1.0).sqrt()
+}
+
 /// Smallest and largest yaw inertia, as a multiple of `mass l_f l_r`. For most vehicles the multiple is about 1.
 const INERTIAS: (f64, f64) = (0.05, 20.0);
 
@@ -143,6 +158,11 @@ impl VehicleParameters {
             (INERTIAS.0 * usual, INERTIAS.1 * usual),
             " for this mass and these distances to the axles",
         )
+    }
+
+    /// The [`slip_speed`] of this vehicle, m/s.
+    pub fn slip_speed(&self) -> f64 {
+        slip_speed(self.l_f + self.l_r)
     }
 
     /// The product of `a` and the mass: the force in N for an acceleration in m/s², the change of the force in N/s for that of

@@ -1,7 +1,7 @@
 //! Vehicles are checked and read by name.
 #![allow(clippy::unwrap_used, missing_docs)]
 
-use egp_parameters::VehicleParameters;
+use egp_parameters::{FULL_SIZE, VehicleParameters, slip_speed};
 
 const CAR: VehicleParameters = VehicleParameters::FORD_ESCORT;
 
@@ -115,6 +115,14 @@ fn model_cars_karts_lorries_and_racing_cars_are_vehicles() {
     for vehicle in [model, kart, lorry, racing] {
         vehicle.validate().unwrap();
     }
+}
+
+#[test]
+fn the_slip_speed_of_small_vehicles_follows_froudes_law() {
+    assert_eq!(CAR.slip_speed(), 3.0);
+    assert_eq!(slip_speed(FULL_SIZE), 3.0);
+    // A car of a quarter of the size drives at half the speed.
+    assert_eq!(slip_speed(FULL_SIZE / 4.0), 1.5);
 }
 
 #[test]

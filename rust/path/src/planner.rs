@@ -6,16 +6,22 @@ use crate::limits::{SPEEDS, SpeedLimits};
 use crate::path::Path;
 use crate::speed::SpeedProfile;
 
-/// Distance that is planned, m. The road beyond it bounds the speed at its end.
+/// Distance that is planned, as a multiple of the knots' largest spacing. The road beyond it bounds the speed at its end.
 const DISTANCE: f64 = 250.0;
-/// Distance between knots in m, at most.
+/// Largest distance between knots, m.
 const SPACING: f64 = 1.0;
+/// Largest distance between knots as a share of the path's smallest radius. Farther apart, the speed that is interpolated between
+/// two knots of a tight bend would need more than the grip.
+const SHARE_OF_RADIUS: f64 = 0.125;
+/// Smallest value of the largest distance, m, however tight the path is.
+const NARROWEST: f64 = 0.05;
 /// Distance behind the vehicle, in knots, at which a plan has the vehicle's present speed. With it the reference at the vehicle
 /// is above the measured speed while it drives and below it while it brakes; a controller that weighs its inputs would
 /// otherwise reach less than the planned acceleration, because the reference begins at the measured speed in each period.
 const OFFSET: f64 = 0.5;
 
-/// Plans the speed over the next 250 m of a path, once in each control period. Allocates nothing while planning.
+/// Plans the speed over the next 250 m of a path, or 31 times its smallest radius if that is less than 8 m, once in each control
+/// period. Allocates nothing while planning.
 #[derive(Debug, Clone)]
 pub struct SpeedPlanner {
     limits: SpeedLimits,
@@ -49,7 +55,8 @@ impl SpeedPlanner {
             "at least 1 m",
             |length| length >= 1.0,
         )?;
-        let pieces = (path.length() / SPACING).ceil();
+        let spacing = (SHARE_OF_RADIUS / sharpest(path)).clamp(NARROWEST, SPACING);
+        let pieces = (path.length() / spacing).ceil();
         let step = path.length() / pieces;
         let pieces = pieces as usize;
         let curvature = (0..pieces + usize::from(!path.closed()))
@@ -61,7 +68,7 @@ impl SpeedPlanner {
                 })
             })
             .collect();
-        let knots = (DISTANCE / step).ceil() as usize + 1;
+        let knots = (DISTANCE * spacing / step).ceil() as usize + 1;
         Ok(Self {
             limits: limits.clone(),
             closed: path.closed(),
@@ -209,6 +216,14 @@ impl SpeedPlanner {
         });
         Ok(&self.profile)
     }
+}
+
+/// The largest absolute curvature of a path, 1/m, at the ends and in the middle of its pieces.
+fn sharpest(path: &Path) -> f64 {
+    let half = 0.5 * path.step();
+    (0..=2 * path.piece_count())
+        .map(|i| path.sample(i as f64 * half).curvature.abs())
+        .fold(0.0, f64::max)
 }
 
 /// The road beyond the last place of a plan.

@@ -163,7 +163,9 @@ mod _core {
         #[pymodule_export]
         const GRAVITY: f64 = egp_parameters::GRAVITY;
         #[pymodule_export]
-        const MIN_SLIP_SPEED: f64 = egp_core::vehicle::MIN_SLIP_SPEED;
+        const FULL_SIZE: f64 = egp_parameters::FULL_SIZE;
+        #[pymodule_export]
+        const MIN_SLIP_SPEED: f64 = egp_parameters::MIN_SLIP_SPEED;
         #[pymodule_export]
         const STANDARD_GRAVITY: f64 = egp_parameters::STANDARD_GRAVITY;
         #[pymodule_export]

@@ -59,6 +59,12 @@ macro_rules! methods {
                 fields.map(|(name, _, value)| (name, value)).collect()
             }
 
+            #[doc = doc!(VehicleParameters.slip_speed)]
+            #[getter]
+            fn slip_speed(&self) -> f64 {
+                self.0.slip_speed()
+            }
+
             #[doc = doc!(VehicleParameters.gate_limits)]
             fn gate_limits(&self) -> BTreeMap<&'static str, f64> {
                 let limits = Limits::of(&self.0).fields().into_iter();

@@ -36,7 +36,7 @@ impl Plant {
     }
 
     #[doc = doc!(Plant.reset)]
-    #[pyo3(signature = (x, y, yaw, v, yaw_rate = 0.0, v_y = 0.0, delta = 0.0))]
+    #[pyo3(signature = (x, y, yaw, v, *, yaw_rate = 0.0, v_y = 0.0, delta = 0.0))]
     #[allow(clippy::too_many_arguments)]
     fn reset(
         &mut self,

@@ -4,7 +4,7 @@ use egp_parameters::VehicleParameters;
 
 use crate::qp::{MAX_SOFT, OcpQp, SoftRow};
 use crate::settings::{Penalty, Soft};
-use crate::vehicle::{DELTA, MIN_SLIP_SPEED, OMEGA, P_X, P_Y, PSI, ROLLING, TyreLimits, V_X, V_Y};
+use crate::vehicle::{DELTA, OMEGA, P_X, P_Y, PSI, ROLLING, TyreLimits, V_X, V_Y};
 use crate::{Input, NU, State};
 
 /// Share of a slew step by which a bound that cannot be met yet is opened beyond the reachable input, because
@@ -147,7 +147,7 @@ fn steering(vehicle: &VehicleParameters, slip: f64, operating: &State) -> SoftRo
 /// Direction in which the front axle moves, rad from the vehicle's; none at speeds at which slip angles are not defined.
 fn front_direction(vehicle: &VehicleParameters, x: &State) -> Option<f64> {
     let sideways = x[V_Y] + vehicle.l_f * x[OMEGA];
-    (x[V_X] >= MIN_SLIP_SPEED).then(|| (sideways / x[V_X]).atan())
+    (x[V_X] >= vehicle.slip_speed()).then(|| (sideways / x[V_X]).atan())
 }
 
 /// Half the width of the narrowest strip to which a track is bounded, m. On a strip without width both of its bounds are

@@ -111,7 +111,7 @@ pub struct Soft {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub envelope: Option<[f64; 2]>,
     /// Distance kept between centre of mass and track edge, in m, at most 1000. Default: half the width of the library's
-    /// vehicle and 0.263 m, which is 1.1 m for a width of 1.674 m.
+    /// vehicle and 0.263 m, which is 1.1 m for a width of 1.674 m; three quarters of the width of narrow vehicles.
     pub edge_margin: Option<f64>,
     /// Number of standard deviations of the plan's uncertainty by which track edges and the highest speed are tightened,
     /// at most 10. Default 0, which takes no time; `docs/settings.md` states what other values cost.
@@ -288,13 +288,15 @@ impl InputBounds {
     }
 }
 
-/// Distance kept between the vehicle's side and the track edge by default, m.
+/// Distance kept between the vehicle's side and the track edge by default, m, and at most this share of the vehicle's width.
 const EDGE_CLEARANCE: f64 = 0.263;
+const EDGE_SHARE: f64 = 0.25;
 
 impl Soft {
     /// The distance kept between centre of mass and track edge, in m, by a vehicle `width` m wide.
     pub fn edge_margin(&self, width: f64) -> f64 {
-        self.edge_margin.unwrap_or(0.5 * width + EDGE_CLEARANCE)
+        self.edge_margin
+            .unwrap_or(0.5 * width + EDGE_CLEARANCE.min(EDGE_SHARE * width))
     }
 
     pub(super) fn validate(&self) -> Result<(), SettingsError> {

@@ -300,6 +300,8 @@ mod tests {
             stated
         );
         assert_eq!(complete.soft.edge_margin, Some(0.805 + 0.263));
+        // A narrow vehicle keeps a quarter of its width from the edge.
+        assert_eq!(Soft::default().edge_margin(0.28), 0.14 + 0.07);
     }
 
     #[test]

@@ -19,9 +19,10 @@ use validate::ValidRequest;
 
 use egp_parameters::STATE_IN_MESSAGES;
 
+use crate::VehicleParameters;
 use crate::executor::{Executor, for_each};
 use crate::solver::Status;
-use crate::vehicle::{Frame, MIN_SLIP_SPEED, P_X, P_Y, PSI, V_X, wrap};
+use crate::vehicle::{Frame, P_X, P_Y, PSI, V_X, wrap};
 use crate::weights::blend_error;
 use crate::{GpInput, GpOutput, Library, Member, NY, NZ, Settings, State};
 
@@ -142,7 +143,7 @@ fn estimate_weights(
     reply.weights.resize(members.len(), 0.0);
     let used = history_z[..known]
         .iter()
-        .position(|z| is_outside_model(z, ws.vehicle.mass))
+        .position(|z| is_outside_model(z, &ws.vehicle))
         .unwrap_or(known);
     let predictions = &reply.history_f[..used * members.len() * NY];
     let measured = &rows.history_y[..used];
@@ -165,14 +166,13 @@ fn estimate_weights(
     used
 }
 
-/// Whether a transition of a vehicle with this mass (kg) lies outside the range of the vehicle models. A vehicle that stands
-/// with a drive below [`LEAST_DRIVE`] is held by its brakes, which the models do not contain. Below [`MIN_SLIP_SPEED`] the
-/// models compute a slip angle of `(1 - v_x / MIN_SLIP_SPEED) delta` that does not exist. Both look like very low friction to
-/// the estimator.
-fn is_outside_model(z: &[f64; NZ], mass: f64) -> bool {
+/// Whether a transition lies outside the range of the vehicle models. A vehicle that stands with a drive below [`LEAST_DRIVE`] is
+/// held by its brakes, which the models do not contain. Below its [slip speed](VehicleParameters::slip_speed) `v_s` the models
+/// compute a slip angle of `(1 - v_x / v_s) delta` that does not exist. Both look like very low friction to the estimator.
+fn is_outside_model(z: &[f64; NZ], vehicle: &VehicleParameters) -> bool {
     let [v_x, _, _, delta, force, _] = *z;
-    let stands = v_x < STANDING && force < LEAST_DRIVE * mass;
-    stands || (1.0 - v_x / MIN_SLIP_SPEED) * delta.abs() > LARGEST_SLIP_ERROR
+    let stands = v_x < STANDING && force < LEAST_DRIVE * vehicle.mass;
+    stands || (1.0 - v_x / vehicle.slip_speed()) * delta.abs() > LARGEST_SLIP_ERROR
 }
 
 /// Writes what the residual adds to the ensemble's prediction at each stage, with its variances, and returns its

@@ -2,7 +2,6 @@
 
 use egp_parameters::GRAVITY;
 
-use super::single_track::MIN_SLIP_SPEED;
 use crate::kernel::Lanes;
 use crate::simd::{Simd, Wide, atan, sin_cos, wide};
 use crate::{GpInput, NZ};
@@ -43,6 +42,7 @@ pub(super) struct Sides {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Axles {
     mass: Lanes,
+    slip_speed: Lanes,
     grip: [Lanes; 2],
     position: Lanes,
     steers: Lanes,
@@ -103,31 +103,35 @@ pub(super) struct Slopes {
 }
 
 impl Axles {
-    /// The axles of [`VEHICLES`] vehicles, given with each vehicle's mass and grip.
-    pub fn new(of: impl Fn(usize) -> (f64, Sides, [Axle; 2])) -> Self {
-        let each = |value: &dyn Fn(f64, Sides, Axle) -> f64| {
+    /// The axles of [`VEHICLES`] vehicles, given with each vehicle's mass, lowest speed of slip angles, and grip.
+    pub fn new(of: impl Fn(usize) -> (f64, f64, Sides, [Axle; 2])) -> Self {
+        let vehicle = |value: &dyn Fn(f64, f64, Sides) -> f64| {
             std::array::from_fn(|lane| {
-                let (mass, grip, axles) = of(lane / 2);
-                value(mass, grip, axles[lane % 2])
+                let (mass, slip_speed, grip, _) = of(lane / 2);
+                value(mass, slip_speed, grip)
             })
         };
+        let each = |value: &dyn Fn(Axle) -> f64| {
+            std::array::from_fn(|lane| value(of(lane / 2).3[lane % 2]))
+        };
         Self {
-            mass: each(&|mass, _, _| mass),
+            mass: vehicle(&|mass, _, _| mass),
+            slip_speed: vehicle(&|_, slip_speed, _| slip_speed),
             grip: [
-                each(&|_, grip, _| grip.drive),
-                each(&|_, grip, _| grip.brake),
+                vehicle(&|_, _, grip| grip.drive),
+                vehicle(&|_, _, grip| grip.brake),
             ],
-            position: each(&|_, _, axle| axle.position),
-            steers: each(&|_, _, axle| axle.steers),
-            load: each(&|_, _, axle| axle.load),
-            transfer: each(&|_, _, axle| axle.transfer),
+            position: each(&|axle| axle.position),
+            steers: each(&|axle| axle.steers),
+            load: each(&|axle| axle.load),
+            transfer: each(&|axle| axle.transfer),
             coupling: [
-                each(&|_, _, axle| axle.coupling.drive),
-                each(&|_, _, axle| axle.coupling.brake),
+                each(&|axle| axle.coupling.drive),
+                each(&|axle| axle.coupling.brake),
             ],
-            friction: each(&|_, _, axle| axle.friction),
-            stiffness: each(&|_, _, axle| axle.stiffness),
-            shape: each(&|_, _, axle| axle.shape),
+            friction: each(&|axle| axle.friction),
+            stiffness: each(&|axle| axle.stiffness),
+            shape: each(&|axle| axle.shape),
         }
     }
 
@@ -176,11 +180,12 @@ impl Axles {
         let a_x = simd.div(a, root);
         let a_x_by_a = inverse(mul(excess, root));
 
-        let v = motion.v_x.max(MIN_SLIP_SPEED);
+        let (v_x, slowest) = (splat(motion.v_x), simd.load(&self.slip_speed));
+        let v = simd.where_greater(v_x, slowest, v_x, slowest);
         let [position, stiffness, shape, transfer] =
             [&self.position, &self.stiffness, &self.shape, &self.transfer].map(|x| simd.load(x));
         let across = simd.mul_add(position, splat(motion.omega), splat(motion.v_y));
-        let direction = simd.div(across, splat(v));
+        let direction = simd.div(across, v);
         let steering = mul(simd.load(&self.steers), splat(motion.steering));
         let slip = mul(stiffness, simd.sub(steering, atan(simd, direction)));
         let (sin, cos) = sin_cos(simd, mul(shape, atan(simd, slip)));
@@ -196,13 +201,10 @@ impl Axles {
             mul(mul(mul(load, friction), cos), mul(shape, stiffness)),
             simd.mul_add(slip, slip, one),
         );
-        let turn = mul(simd.mul_add(direction, direction, one), splat(-v));
+        let turn = mul(simd.mul_add(direction, direction, one), simd.sub(zero, v));
         let by_lateral_speed = simd.div(by_slip, turn);
-        let by_speed = if motion.v_x > MIN_SLIP_SPEED {
-            simd.sub(zero, mul(direction, by_lateral_speed))
-        } else {
-            zero
-        };
+        let turning = simd.sub(zero, mul(direction, by_lateral_speed));
+        let by_speed = simd.where_greater(v_x, slowest, turning, zero);
         // Derivative relative to the lateral force. In this order of the factors no intermediate product overflows.
         let left_by_a = mul(
             mul(mul(mul(used, used), left), mul(used, left)),

@@ -125,12 +125,12 @@ fn single_track(vehicle: Option<&VehicleModel>) -> Option<&SingleTrack> {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use crate::vehicle::example::{CAR, inputs};
+    use crate::vehicle::example::{CAR, MODEL_CAR, inputs};
     use crate::vehicle::{Kinematic, ModelParameters};
 
     const DT: f64 = 0.02;
-    /// Two groups: single-track vehicles that differ in all parameters, of which one has two steps, one vehicle without
-    /// slip, and a place without vehicle.
+    /// Two groups: single-track vehicles that differ in all parameters, of which one has two steps and one is a model car, one
+    /// vehicle without slip, and a place without vehicle.
     fn vehicles() -> Vec<Option<VehicleModel>> {
         (0..7)
             .map(|place| {
@@ -142,7 +142,8 @@ mod tests {
                         Some(VehicleModel::Kinematic(Kinematic::new(&parameters, DT)))
                     }
                     _ => {
-                        let parameters = ModelParameters::SingleTrack(CAR.map(|p| p * factor));
+                        let car = if place == 6 { MODEL_CAR } else { CAR };
+                        let parameters = ModelParameters::SingleTrack(car.map(|p| p * factor));
                         let steps = if place == 5 { 2 } else { 1 };
                         Some(VehicleModel::new(&parameters, DT).with_steps(steps))
                     }

@@ -8,6 +8,11 @@ pub(super) const CAR: [f64; SINGLE_TRACK_PARAMETERS] = [
     1225.0, 0.87, 1.52, 1.6, 0.45, 0.5, 0.8, 1.9, 1.2, 0.9, 15.0, 1.6, 0.3, 1.1, 1.1, 20.0, 1.2,
 ];
 
+/// Parameters of a model car of a tenth of the size, whose slip angles are computed from 1.2 m/s on.
+pub(super) const MODEL_CAR: [f64; SINGLE_TRACK_PARAMETERS] = [
+    3.74, 0.159, 0.171, 0.0126, 0.06, 0.5, 0.8, 1.9, 1.2, 0.9, 15.0, 1.6, 0.3, 1.1, 1.1, 20.0, 1.2,
+];
+
 /// Inputs with drive and braking, one of them below the lowest speed of slip angles, and one of a slide.
 pub(super) fn inputs() -> [GpInput; 4] {
     [

@@ -23,7 +23,7 @@ pub use kinematic::{KINEMATIC_PARAMETERS, Kinematic};
 pub(crate) use kinematics::{gp_input, jacobians, successor};
 pub use model::{ModelParameters, VehicleModel};
 pub use resistance::Resistance;
-pub use single_track::{MIN_SLIP_SPEED, SINGLE_TRACK_PARAMETERS, SingleTrack};
+pub use single_track::{SINGLE_TRACK_PARAMETERS, SingleTrack};
 pub use tyre_limits::TyreLimits;
 pub(crate) use tyre_limits::{ROLLING, SLIPPERY};
 

@@ -2,17 +2,13 @@
 
 use std::ops::AddAssign;
 
-use egp_parameters::GRAVITY;
+use egp_parameters::{GRAVITY, slip_speed};
 use nalgebra::{SMatrix, SVector};
 
 use super::axles::{Axle, Axles, Forces, Motion, Sides, Slopes};
 use super::euler;
 use super::resistance::Resistance;
 use crate::{GpInput, GpJacobian, GpOutput, NY};
-
-/// Lowest speed, m/s, at which slip angles are computed. Below it the equations use this speed in place of `v_x`, and the bound
-/// on the slip is left out, because slip angles are not defined at standstill.
-pub const MIN_SLIP_SPEED: f64 = 3.0;
 
 /// Number of parameters of a [`SingleTrack`].
 pub const SINGLE_TRACK_PARAMETERS: usize = 17;
@@ -24,8 +20,8 @@ const FRICTION_POWERS: [i32; SINGLE_TRACK_PARAMETERS] =
 /// The change of `[v_x, v_y, omega]` over one period from `z = [v_x, v_y, omega, delta, F_x, delta_dot]`, by one step or
 /// several of the explicit Euler method with the steering angle of the step's middle.
 ///
-/// With `a = F_x / m`, slip angles `alpha = delta - atan((v_y + l omega) / v_x)` (no `delta` at the rear) and axle
-/// loads per mass `n`, which braking moves to the front:
+/// With `a = F_x / m`, slip angles `alpha = delta - atan((v_y + l omega) / v_x)` (no `delta` at the rear, and `v_x` at least
+/// the [`slip_speed`] of `l_f + l_r`) and axle loads per mass `n`, which braking moves to the front:
 ///
 /// ```text
 /// a_x = a / (1 + (a / (g D_x))⁴)^¼                          what the tyres transmit
@@ -49,6 +45,8 @@ pub struct SingleTrack {
     /// Number of these steps in a period.
     steps: u32,
     mass: f64,
+    /// Lowest speed at which slip angles are computed, m/s.
+    slip_speed: f64,
     /// Radius of gyration squared, m².
     squared_gyration_radius: f64,
     pub(super) grip: Sides,
@@ -88,6 +86,7 @@ impl SingleTrack {
             step: dt,
             steps: 1,
             mass,
+            slip_speed: slip_speed(l_f + l_r),
             squared_gyration_radius,
             grip: Sides { drive, brake },
             axles: [
@@ -183,7 +182,15 @@ impl SingleTrack {
 
     /// The axles of several vehicles.
     pub(super) fn axles<'a>(of: impl Fn(usize) -> &'a Self) -> Axles {
-        Axles::new(|place| (of(place).mass, of(place).grip, of(place).axles))
+        Axles::new(|place| {
+            let vehicle = of(place);
+            (
+                vehicle.mass,
+                vehicle.slip_speed,
+                vehicle.grip,
+                vehicle.axles,
+            )
+        })
     }
 
     /// The change over one step, from the forces of the axles, of which this vehicle's are at the given place.
@@ -192,7 +199,7 @@ impl SingleTrack {
             v_x, v_y, omega, ..
         } = *motion;
         let a_x = forces.longitudinal[2 * place];
-        let ahead = a_x + v_y * omega - self.resistance.deceleration(v_x);
+        let ahead = a_x + v_y * omega - self.resistance.deceleration(v_x, self.slip_speed);
         let mut rate = GpOutput::new(ahead, -v_x * omega, 0.0);
         for (axle, f) in self.axles.iter().zip(&forces.lateral[2 * place..]) {
             rate += *f * self.across(axle, motion);
@@ -215,7 +222,7 @@ impl SingleTrack {
         let mut by = SMatrix::<f64, NY, 5>::zeros();
         let a_x_by_a = slopes.longitudinal[2 * place];
         (by[(0, 1)], by[(0, 2)], by[(0, 4)]) = (omega, v_y, a_x_by_a);
-        by[(0, 0)] -= self.resistance.slope(v_x);
+        by[(0, 0)] -= self.resistance.slope(v_x, self.slip_speed);
         (by[(1, 0)], by[(1, 2)]) = (-omega, -v_x);
         for (lane, axle) in (2 * place..).zip(&self.axles) {
             let [speed, lateral, steering, a] = slopes.lateral.map(|slope| slope[lane]);
@@ -255,7 +262,7 @@ impl SingleTrack {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
-    use super::super::example::{CAR, check_jacobian, inputs};
+    use super::super::example::{CAR, MODEL_CAR, check_jacobian, inputs};
     use super::*;
 
     const RESISTANCE: Resistance = Resistance {
@@ -267,6 +274,25 @@ mod tests {
     fn the_jacobian_is_that_of_finite_differences() {
         let car = SingleTrack::new(&CAR, 0.02).with_resistance(RESISTANCE);
         check_jacobian(&car, 1e-7);
+    }
+
+    #[test]
+    fn a_model_car_has_slip_at_a_speed_at_which_that_of_a_large_one_is_not_defined() {
+        // Without yaw rate and steering the rear force depends on the slip angle alone.
+        let by_speed = |parameters| {
+            let car = SingleTrack::new(parameters, 0.02);
+            let sliding = |v_x: f64| car.change(&GpInput::new(v_x, -0.1, 0.0, 0.0, 0.0, 0.0))[1];
+            sliding(2.0) - sliding(2.5)
+        };
+        assert_eq!(by_speed(&CAR), 0.0);
+        assert!(by_speed(&MODEL_CAR) > 0.01);
+        let z = GpInput::new(2.0, 0.1, 0.3, 0.3, 5.0, 0.4);
+        let car = SingleTrack::new(&MODEL_CAR, 0.02);
+        let (value, jacobian) = car.change_jacobian(&z);
+        let shift = GpInput::new(1e-6, 0.0, 0.0, 0.0, 0.0, 0.0);
+        assert_eq!(value, car.change(&z));
+        let slope = (car.change(&(z + shift)) - car.change(&(z - shift))) / 2e-6;
+        assert!((slope - jacobian.column(0)).amax() < 1e-6);
     }
 
     #[test]

@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used)]
 
 use egp_parameters::{STANDARD_GRAVITY, VehicleParameters};
-use egp_path::tracks::RoundedRectangle;
+use egp_path::tracks::{Corner, RoundedRectangle};
 use egp_path::{
     HorizonRows, Path, PathError, ReferenceStart, SpeedLimits, SpeedPlanner, SpeedProfile,
     horizon_reference,
@@ -41,6 +41,30 @@ fn on_known_friction_the_plan_is_the_profile() {
                 "{s} {i}: {speed} {expected}"
             );
         }
+    }
+}
+
+#[test]
+fn in_a_tight_bend_a_plan_needs_no_more_than_the_grip() {
+    let small = RoundedRectangle {
+        length: 8.0,
+        width: 4.0,
+        corner: Corner {
+            radius: 1.1,
+            transition: 0.5,
+        },
+        track_width: 1.8,
+    };
+    let (path, limits, friction) = (small.path().unwrap(), limits(), 0.6);
+    let mut planner = SpeedPlanner::new(&path, &limits).unwrap();
+    assert!(planner.step() < 1.1 / 8.0);
+    let believed = vec![friction; planner.places()];
+    let plan = planner.plan(0.0, None, &believed).unwrap();
+    let allowed = limits.lateral * limits.grip * friction * STANDARD_GRAVITY;
+    for i in 0..500 {
+        let s = 0.02 * f64::from(i);
+        let lateral = plan.speed(s).powi(2) * path.sample(s).curvature.abs();
+        assert!(lateral < 1.05 * allowed, "{s}: {lateral} {allowed}");
     }
 }
 
