@@ -1,4 +1,4 @@
-"""Reading of TOML; atomic writing: a complete temporary file is renamed; locks of folders."""
+"""Reading of files; atomic writing: a complete temporary file is renamed; locks of folders."""
 
 from __future__ import annotations
 
@@ -101,6 +101,19 @@ def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
         return text, tomllib.loads(text)
     except ValueError as error:  # also of a number with thousands of digits
         raise EgpError(f"{path} is not TOML: {error}") from error
+
+
+def read_bytes(path: Path) -> bytes:
+    """Read a file.
+
+    Raises:
+        EgpError: naming the file, if it cannot be read.
+
+    """
+    try:
+        return path.read_bytes()
+    except OSError as error:  # that of a read, unlike that of opening a file, names no file
+        raise EgpError(f"{path}: {error.strerror}") from error
 
 
 def write_text(path: Path, text: str) -> None:

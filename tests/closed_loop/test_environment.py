@@ -17,6 +17,8 @@ from egp_service.simulation.plant import PlantError
 from egp_service.simulation.scenario import Measurement, load_scenario
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
     from egp_service.simulation.scenario import Scenario
 
 DOCUMENT = Path(__file__).parents[2] / "docs/simulator.md"
@@ -137,8 +139,15 @@ def test_an_action_that_is_no_action_is_an_error() -> None:
     environment = TrackEnvironment("rounded-rectangle")
     environment.reset()
     for action in ([np.nan, 0.0], [0.0], [[0.0, 0.0]]):
-        with pytest.raises(InvalidArgumentError, match=r"an action of shape \(2,\)"):
-            environment.step(np.array(action))
+        for given in (action, np.array(action)):
+            with pytest.raises(InvalidArgumentError, match=r"an action of shape \(2,\)"):
+                environment.step(given)
+
+
+def test_an_action_may_be_a_list() -> None:
+    actions: list[ArrayLike] = [CREEP, CREEP.tolist()]
+    seen = [TrackEnvironment("rounded-rectangle").step(action)[0].tolist() for action in actions]
+    assert seen[0] == seen[1]
 
 
 OWN = """

@@ -25,6 +25,7 @@ from egp_service.cli import app
 from egp_service.control.step import Step
 from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.in_process import in_process_controller
+from egp_service.simulation.runs import new_folder
 from egp_service.simulation.scenario import Zone, load_scenario, told_zones
 from egp_service.simulation.scenario_checks import ScenarioError
 from library_example import write_example
@@ -107,6 +108,17 @@ def test_a_scenario_that_was_changed_is_checked() -> None:
         pytest.raises(ScenarioError, match="rounded-rectangle: laps"),
     ):
         drive(scenario, controller, lambda _: None)
+
+
+def test_a_run_has_a_new_folder_or_an_error_that_names_the_path(tmp_path: Path) -> None:
+    root = tmp_path / "new" / "runs"
+    folders = [new_folder(root, "own") for _ in range(3)]
+    assert sorted(root.iterdir()) == sorted(set(folders))
+    (tmp_path / "file").touch()
+    (tmp_path / "link").symlink_to(tmp_path / "nothing")
+    for name in ("file", "link"):
+        with pytest.raises(FileExistsError, match=rf"File exists: '.*/{name}'$"):
+            new_folder(tmp_path / name, "own")
 
 
 def test_a_status_that_cannot_be_published_is_an_error_at_once() -> None:

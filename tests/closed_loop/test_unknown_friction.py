@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from egp_service import EgpError
-from egp_service._core import RoadBelief, decode_reply, write_library_subset
+from egp_service._core import RoadBelief, decode_reply
 from egp_service.cli import app
 from egp_service.cli.status_line import StatusLine
 from egp_service.evaluation.experiment import NOISE
@@ -193,25 +193,25 @@ def test_baselines_of_the_reference_speed(speed: Speed, planned: set[float]) -> 
     assert 0.35 in found or 0.35 not in planned
 
 
-def test_the_weights_of_another_library_are_no_baseline(tmp_path: Path) -> None:
+def test_the_weights_of_unknown_frictions_are_no_baseline() -> None:
     scenario = replace(BLIND, speed=Speed(knows="weights"), leave_distance=50.0)
     with in_process_controller(scenario) as controller:
-        other = tmp_path / "other.safetensors"
-        members = list(range(len(controller.members)))
-        write_library_subset(library_path(scenario), other, members[::-1])
-        # A controller that does not tell the frictions of its members, as one of a service.
+        # A service does not state the frictions of its members.
         vars(controller)["frictions"] = None
         with pytest.raises(ScenarioError, match="another library than the scenario"):
-            drive(replace(scenario, library=str(other)), controller, lambda _: None)
+            drive(scenario, controller, lambda _: None)
 
 
-def test_the_end_of_a_drive_does_not_read_the_library(tmp_path: Path) -> None:
+def test_a_drive_does_not_read_the_library_that_its_controller_has(tmp_path: Path) -> None:
     library = tmp_path / "library.safetensors"
     library.write_bytes(library_path(BLIND).read_bytes())
     scenario = replace(BLIND, library=str(library), laps=0.01)
     with in_process_controller(scenario) as controller:
-        run = drive(scenario, controller, lambda _: library.unlink(missing_ok=True))
-    assert run.frictions.size == len(run.members)
+        library.unlink()
+        run = drive(scenario, controller, lambda _: None)
+        assert run.frictions.tolist() == controller.frictions
+        vars(controller)["frictions"] = None
+        assert drive(scenario, controller, lambda _: None).frictions.size == 0
 
 
 def test_the_weights_friction_as_a_baseline() -> None:

@@ -235,6 +235,17 @@ def test_a_plan_that_no_message_may_contain_is_none(controller: Controller) -> N
     assert "no vehicle reaches" in found.detail
 
 
+def test_who_states_no_endpoint_states_a_configuration(controller: Controller) -> None:
+    for port, connect in (
+        (7447, lambda: VehicleClient.connect([], gate=GATE)),
+        (7448, lambda: FleetMap([], belief(), road="r", vehicle="v")),
+        (7450, lambda: StatusPublisher(controller, [])),
+    ):
+        with pytest.raises(InvalidArgumentError, match=f"at least one, such as 'tcp/.*:{port}'"):
+            connect()
+    StatusPublisher(controller, [], zenoh_config={"mode": "peer"}).close()
+
+
 def test_names_of_a_publication_are_checked(controller: Controller) -> None:
     with pytest.raises(InvalidArgumentError, match='"a/b" is no name'):
         StatusPublisher(controller, vehicle="a/b")

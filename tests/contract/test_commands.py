@@ -273,7 +273,7 @@ def test_files_of_another_kind_are_named(tmp_path: Path) -> None:
     assert "`egp collect --from-log`" in failure("train", str(log), "-o", str(tmp_path / "l"))
     missing = failure(
         *("collect", "-o", str(log.with_suffix(".parquet")), "--friction", "0.5"),
-        *("--from-csv", str(log)),
+        *("--from-log", str(log)),
         *("--column", "time=t:s"),
     )
     assert "no column is named for v_x, v_y, omega, delta, F_x or a_x" in missing

@@ -144,6 +144,12 @@ def test_an_unusable_speed_keeps_the_state_of_a_plant() -> None:
     np.testing.assert_array_equal(plant.state, before)
 
 
+def test_a_plant_is_not_reset_to_the_numbers_of_a_state_in_another_order() -> None:
+    plant = Plant()
+    with pytest.raises(TypeError, match="reset"):
+        plant.reset(*plant.vehicle_state)
+
+
 def test_data_that_are_damaged_and_a_vehicle_that_spins_are_no_invalid_argument(
     tmp_path: FilePath,
 ) -> None:

@@ -102,7 +102,7 @@ def test_initial_state_is_the_packages_but_for_the_bodys_height_and_pitch(vehicl
     start = [x, y, delta, math.hypot(v_x, v_y), yaw, yaw_rate, math.atan2(v_y, v_x)]
     expected = np.array(init_mb(start, oracle(vehicle, 1.0)))
     plant = Plant(vehicle)
-    plant.reset(x, y, yaw, v_x, yaw_rate, v_y, delta)
+    plant.reset(x, y, yaw, v_x, yaw_rate=yaw_rate, v_y=v_y, delta=delta)
     same = np.setdiff1d(np.arange(29), [8, 11])
     np.testing.assert_allclose(plant.state[same], expected[same], rtol=1e-14, atol=1e-14)
     np.testing.assert_array_equal(plant.vehicle_state, [x, y, v_x, yaw, v_y, yaw_rate, delta])

@@ -36,10 +36,11 @@ def remote_controller(
 ) -> VehicleClient:
     """Ask a running service, which uses its own library and settings instead of the scenario's.
 
-    The controller's `library_file` is the scenario's library if the service has the same one.
+    The controller has `library_file` and `frictions` of the scenario's library if the service has
+    the same one.
     """
     file = library_path(scenario).absolute()
-    own = Library.load(file).id
+    own = Library.load(file)
     endpoints = [] if endpoint is None else [endpoint]
     with waiting("a service", endpoints, CONNECT_SECONDS):
         client = VehicleClient.connect(
@@ -52,8 +53,9 @@ def remote_controller(
             key_file=key_file,
             traces=traces,
         )
-    if own == client.library.hex():
+    if own.id == client.library.hex():
         client.library_file = file
+        client.frictions = [member.friction for member in own.members]
     return client
 
 
@@ -70,4 +72,5 @@ def service_controller(scenario: Scenario) -> Iterator[StepController]:
         client.settings = tomllib.loads(engine.settings_toml)
         client.stated_settings = scenario.control
         client.library_file = library.absolute()
+        client.frictions = engine.frictions
         yield client

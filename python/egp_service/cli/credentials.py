@@ -34,6 +34,7 @@ from egp_service.cli.certificates import (
 )
 from egp_service.cli.signing import new_signing_key, public_line
 from egp_service.control.endpoints import MAP_PORT, ROUTER_PORT, SERVICE_PORT
+from egp_service.control.session import LARGEST_AT_CLIENT, LARGEST_AT_SERVICE, LEASE_MS, RETRY
 from egp_service.files import locked, replacing
 
 if TYPE_CHECKING:
@@ -49,11 +50,8 @@ _MONITOR = "monitor"
 # The length to which X.509 limits a common name.
 _LONGEST = 64
 _SCOUTING = {"multicast": {"enabled": False}}
-_RETRY = {"period_init_ms": 50, "period_max_ms": 200, "period_increase_factor": 2}
 # Ports of `egp serve`, `egp map` and `egp router` by default.
 _PORTS = {SERVICE: SERVICE_PORT, MAP: MAP_PORT, ROUTER: ROUTER_PORT}
-# Largest messages that a vehicle, and that a service or router receives, bytes.
-_LONGEST_AT_CLIENT, _LONGEST_AT_SERVICE = 1 << 20, 1 << 23
 # Sessions of each vehicle at a service or router (control, status, map and one that replaces a lost
 # one), and of operators and services together.
 _SESSIONS_OF_VEHICLE, _OTHER_SESSIONS = 4, 16
@@ -339,7 +337,7 @@ def _transport(tls: dict[str, object], longest: int) -> dict[str, object]:
     return {
         "link": {
             "protocols": ["tls"],
-            "tx": {"lease": 2000},
+            "tx": {"lease": LEASE_MS},
             "rx": {"max_message_size": longest},
             "tls": tls,
         },
@@ -355,8 +353,8 @@ def _client(
         "mode": "peer",
         "scouting": _SCOUTING,
         "listen": {"endpoints": []},
-        "connect": {"retry": _RETRY, "endpoints": list(endpoints)},
-        "transport": _transport(tls, _LONGEST_AT_CLIENT),
+        "connect": {"retry": dict(RETRY), "endpoints": list(endpoints)},
+        "transport": _transport(tls, LARGEST_AT_CLIENT),
         "access_control": client_access(name),
     }
 
@@ -376,9 +374,9 @@ def _listener(
     return {
         "mode": "router" if name == ROUTER else "peer",
         "scouting": _SCOUTING,
-        "connect": {"retry": _RETRY},
+        "connect": {"retry": dict(RETRY)},
         "listen": {"endpoints": [_impatient(endpoint) for endpoint in endpoints]},
-        "transport": _transport(tls, _LONGEST_AT_SERVICE) | {"unicast": sessions},
+        "transport": _transport(tls, LARGEST_AT_SERVICE) | {"unicast": sessions},
         "access_control": listener_access(name, vehicles),
         "low_pass_filter": size_limits(),
         "qos": {"network": [_REPLIES_DO_NOT_WAIT]},

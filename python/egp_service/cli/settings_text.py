@@ -46,10 +46,10 @@ class Setting:
     meaning: str
 
 
-def read_settings_document(text: str = SETTINGS_DOCUMENT) -> Iterator[Setting]:
+def read_settings_document() -> Iterator[Setting]:
     """Give the settings in the document's order."""
     number, section, group = 0, "", ""
-    for line in text.splitlines():
+    for line in SETTINGS_DOCUMENT.splitlines():
         if found := _SECTION.match(line):
             number, section, group = int(found[1]), found[2], ""
         elif found := _SUBSECTION.match(line):

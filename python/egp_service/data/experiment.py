@@ -13,8 +13,6 @@ from egp_service.data.dataset import Provenance
 from egp_service.vehicle import simulated_name
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from numpy.typing import NDArray
 
 # m, within 8 % of both CommonRoad cars; it is used for the excitation only.
@@ -81,7 +79,7 @@ class Experiment:
     """Control period, s."""
     vehicle: int = 1
     """CommonRoad's number, as for `VehicleParameters.commonroad`."""
-    disturbances: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    disturbances: dict[str, float] = dataclasses.field(default_factory=dict)
     """What the vehicle has beyond a single-track model, by the names of the table `disturbances` of
     a scenario; 0 unless stated."""
 

@@ -114,7 +114,7 @@ def _episode(
     reaction = rng.uniform(*settings.reaction) if arrives else 0.0
     plant = experiment.plant()
     x = track.start(rng.uniform(0.0, track.length), before, grip)
-    plant.reset(x[P_X], x[P_Y], x[PSI], x[V_X], x[OMEGA], x[V_Y], x[DELTA])
+    plant.reset(x[P_X], x[P_Y], x[PSI], x[V_X], yaw_rate=x[OMEGA], v_y=x[V_Y], delta=x[DELTA])
     noise = rng.uniform(*settings.noise)
     driver = Driver(
         rng, experiment.dt, experiment.mass, experiment.parameters, noise, experiment.mu

@@ -99,7 +99,7 @@ def _drive(
     None if the vehicle spun or stopped.
     """
     plant = experiment.plant()
-    plant.reset(x[P_X], x[P_Y], x[PSI], x[V_X], x[OMEGA], x[V_Y], x[DELTA])
+    plant.reset(x[P_X], x[P_Y], x[PSI], x[V_X], yaw_rate=x[OMEGA], v_y=x[V_Y], delta=x[DELTA])
     states = [plant.state]
     for _ in range(periods):
         try:

@@ -13,6 +13,7 @@ import numpy as np
 import polars as pl
 
 from egp_service._core import EgpError
+from egp_service.files import read_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -37,19 +38,19 @@ def read_table(path: Path, separator: str = ",") -> pl.DataFrame:
     places behind it.
 
     Raises:
-        EgpError: if there is no such file, or it is no Parquet or CSV file, or if a line of a CSV
-            file has more fields than the header.
+        EgpError: naming the file, if there is none, if it cannot be read or is no Parquet or CSV
+            file, or if a line of a CSV file has more fields than the header.
 
     """
     if not path.is_file():
         raise EgpError(f"{path}: no such file")
+    content = read_bytes(path)
     if path.suffix.lower() == ".parquet":
         try:
-            return pl.read_parquet(io.BytesIO(path.read_bytes()))
+            return pl.read_parquet(io.BytesIO(content))
         except pl.exceptions.PolarsError as error:
             raise EgpError(f"{path}: not a readable Parquet file ({error})") from error
     try:
-        content = path.read_bytes()
         if content.startswith(_GZIP):
             content = gzip.decompress(content)
         text = content.decode("utf-8-sig")

@@ -13,6 +13,7 @@ import numpy as np
 from egp_service._core import EgpError, Library, MemberData, VehicleParameters, write_library
 from egp_service.quantities import NY, NZ
 from egp_service.training.euler import euler_steps
+from egp_service.vehicle import simulated_name
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -38,10 +39,11 @@ _NO_LIMIT: Final = 1e6  # of the longitudinal grip: the tyres let every force th
 _NO_COUPLING: Final = 1e-6  # of drive and braking with the lateral force
 
 
-def single_track(vehicle: int, friction: float = NOMINAL_FRICTION) -> NDArray[np.float64]:
-    """Parameters (17,) of a CommonRoad vehicle whose tyres saturate laterally at `friction`."""
+def single_track(vehicle: int) -> NDArray[np.float64]:
+    """Parameters (17,) of a CommonRoad vehicle with lateral saturation at `NOMINAL_FRICTION`."""
     mass, front, rear, inertia, height = _CHASSIS[vehicle]
-    tyre = (_NO_COUPLING, _NO_COUPLING, friction, _STIFFNESS / (_SHAPE * friction), _SHAPE)
+    stiffness = _STIFFNESS / (_SHAPE * NOMINAL_FRICTION)
+    tyre = (_NO_COUPLING, _NO_COUPLING, NOMINAL_FRICTION, stiffness, _SHAPE)
     body = (mass, front, rear, inertia / mass, height, _NO_LIMIT, _NO_LIMIT)
     return np.array([*body, *tyre, *tyre])
 
@@ -67,7 +69,7 @@ def write(path: Path, kind: str, source: Path, members: Sequence[int], vehicle: 
     if kind == "fitted":
         alone = [_fitted(member) for member in chosen]
     elif kind in KINDS:
-        name, parameters = f"commonroad-{vehicle}", VehicleParameters.commonroad(vehicle)
+        name, parameters = simulated_name(vehicle), VehicleParameters.commonroad(vehicle)
         model: dict[str, Any] = {"kinematic": kinematic(vehicle)}
         if kind == "single-track":
             tyred = single_track(vehicle)

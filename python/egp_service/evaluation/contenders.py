@@ -47,8 +47,7 @@ class Oracle(Controller):
         self._path = build_path(scenario)
         self._s = 0.0
         self._untold = told_from
-        members = Library.load(library_path(scenario)).members
-        self._frictions = np.array([member.friction for member in members])
+        self._frictions = np.array(self.frictions)
 
     def step(
         self,

@@ -21,6 +21,7 @@ from egp_service._core import (
     vehicle_road_key,
 )
 from egp_service.control.session import (
+    close_session,
     direct,
     look_again,
     open_session,
@@ -103,7 +104,7 @@ class Listener:
 
     def close(self) -> None:
         """Close the session."""
-        self._session.close()  # type: ignore[no-untyped-call]
+        close_session(self._session)
 
     def __enter__(self) -> Self:
         """Use as a context manager to close at the end."""

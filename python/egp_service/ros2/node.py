@@ -9,7 +9,13 @@ from typing import TYPE_CHECKING, Any, Final, Self
 import zenoh
 
 from egp_service._core import EgpError
-from egp_service.control.session import open_session, session_config, zenoh_reason
+from egp_service.control.session import (
+    LARGEST_AT_SERVICE,
+    close_session,
+    open_session,
+    session_config,
+    zenoh_reason,
+)
 from egp_service.ros2.messages import decode, encode
 from egp_service.ros2.rmw_zenoh import (
     Topic,
@@ -24,8 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-# Larger than a path of 40 000 poses.
-_MAX_MESSAGE_BYTES: Final = 1 << 23
+_DEPTH: Final = 1  # messages that a topic keeps: the newest one
 _CONNECT_SECONDS: Final = 5.0
 
 
@@ -76,7 +81,8 @@ class Node:
             # Nodes of ROS 2 listen on their own machine only, and their router passes on nothing
             # between two peers. A client reaches nodes of other machines through the router.
             more["mode"] = "client"
-            more["transport/link/rx/max_message_size"] = _MAX_MESSAGE_BYTES
+            # A path of 40 000 poses is smaller.
+            more["transport/link/rx/max_message_size"] = LARGEST_AT_SERVICE
         config = session_config([endpoint], _CONNECT_SECONDS, more, file)
         try:
             self._session = open_session(config, _CONNECT_SECONDS)
@@ -94,7 +100,7 @@ class Node:
         self._held: list[object] = []
         self._declare_token(node_token(domain, self._id, name))
 
-    def subscribe(self, topic: str, kind: str, *, depth: int = 1) -> Newest:
+    def subscribe(self, topic: str, kind: str) -> Newest:
         """Subscribe to a topic of a type such as `nav_msgs/msg/Path`."""
         described = Topic(self._domain, topic, kind)
         newest = Newest(described, self.arrived)
@@ -102,17 +108,17 @@ class Node:
         self._entities += 1
         self._declare_token(
             endpoint_token(
-                described, self._id, self._name, entity=self._entities, kind="MS", depth=depth
+                described, self._id, self._name, entity=self._entities, kind="MS", depth=_DEPTH
             )
         )
         return newest
 
-    def publisher(self, topic: str, kind: str, *, depth: int = 1) -> Callable[[object], None]:
+    def publisher(self, topic: str, kind: str) -> Callable[[object], None]:
         """Return a function that publishes messages of a type on a topic."""
         described = Topic(self._domain, topic, kind)
         self._entities += 1
         token = endpoint_token(
-            described, self._id, self._name, entity=self._entities, kind="MP", depth=depth
+            described, self._id, self._name, entity=self._entities, kind="MP", depth=_DEPTH
         )
         self._declare_token(token)
         publisher = self._session.declare_publisher(
@@ -136,7 +142,7 @@ class Node:
 
     def close(self) -> None:
         """Leave the graph and close the session."""
-        self._session.close()  # type: ignore[no-untyped-call]
+        close_session(self._session)
 
     def __enter__(self) -> Self:
         """Return the node."""

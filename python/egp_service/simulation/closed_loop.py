@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from egp_service._core import Library, RoadBelief, VehicleLostError, horizon_reference
+from egp_service._core import RoadBelief, VehicleLostError, horizon_reference
 from egp_service.quantities import NU, NX, POSITION, PSI, V_X
 from egp_service.simulation.course import build_path, build_profile
 from egp_service.simulation.plant import make_plant, measurement_noise
 from egp_service.simulation.reference import speed_reference, told_reference
-from egp_service.simulation.scenario import check_scenario, library_path
+from egp_service.simulation.scenario import check_scenario
 from egp_service.simulation.summary import Ending, Summary, summarise
 from egp_service.simulation.trace import Period, Trace, Truth, row_of
 
@@ -49,8 +49,8 @@ class Run:
     scenario: Scenario
     members: Sequence[str]
     frictions: NDArray[np.float64]
-    """(N,) friction coefficients of the members' surfaces; none if they are not known because a
-    service used another library than the scenario's."""
+    """(N,) friction coefficients of the members' surfaces; none if the controller does not state
+    them, as with a service that has another library than the scenario."""
     dt: float
     """Control period, s."""
     deadline: float
@@ -81,11 +81,11 @@ def drive(
 
     Raises:
         EgpError: if a value of the scenario is out of its range, its track cannot be built, or its
-            reference speed knows the weights and the controller uses another library.
+            reference speed knows the weights and the controller does not state its `frictions`.
 
     """
     check_scenario(scenario, scenario.name)
-    frictions = _frictions(scenario, controller)
+    frictions = np.array(() if controller.frictions is None else controller.frictions)
     loop = _Loop(scenario, controller, frictions, belief, told_from)
     rows: list[dict[str, object]] = []
     ending = None
@@ -112,19 +112,6 @@ def drive(
         trace,
         summary,
     )
-
-
-def _frictions(scenario: Scenario, controller: StepController) -> NDArray[np.float64]:
-    """Return the friction coefficients of the controller's members, or none if it has other ones.
-
-    They are read before the drive, whose end must not depend on a file.
-    """
-    if controller.frictions is not None:
-        return np.array(controller.frictions)
-    library = Library.load(library_path(scenario))
-    if library.id != controller.library.hex():
-        return np.zeros(0)
-    return np.array([member.friction for member in library.members])
 
 
 class _Loop:

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import math
 import typing
-from collections.abc import Mapping
 from dataclasses import MISSING, fields, is_dataclass
-from types import UnionType
-from typing import TypeVar, get_args, get_origin, get_type_hints
+from types import NoneType, UnionType
+from typing import TYPE_CHECKING, Final, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from egp_service._core import EgpError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 
 class ConfigurationError(EgpError):
@@ -20,17 +22,25 @@ class ConfigurationError(EgpError):
 
 
 _T = TypeVar("_T")
+_WORDS: Final[Mapping[object, str]] = {
+    bool: "true or false",
+    dict: "a table",
+    float: "a number",
+    int: "a whole number",
+    str: "a text",
+}
 
 
 def build(cls: type[_T], table: Mapping[str, object], where: str) -> _T:
     """Create a dataclass from a TOML table.
 
+    Fields are numbers, texts, `Literal` of texts, dataclasses, dictionaries, and tuples of these.
+
     Raises:
-        ConfigurationError: if a field is unknown, missing or of the wrong type.
+        ConfigurationError: naming `where` and the field, if this is unknown, missing or of the
+            wrong type, or if the dataclass itself raises an `EgpError`.
 
     """
-    if not isinstance(table, Mapping):
-        raise ConfigurationError(f"{where} must be a table, got {table!r}")
     known = {item.name: item for item in fields(cls)}  # type: ignore[arg-type]
     if unknown := sorted(set(table) - set(known)):
         raise ConfigurationError(
@@ -45,39 +55,68 @@ def build(cls: type[_T], table: Mapping[str, object], where: str) -> _T:
         raise ConfigurationError(f"{where}: field {missing[0]!r} is missing")
     hints = get_type_hints(cls)
     values = {name: _value(hints[name], value, f"{where}: {name}") for name, value in table.items()}
-    return cls(**values)
+    try:
+        return cls(**values)
+    except EgpError as error:
+        raise ConfigurationError(f"{where}: {error}") from error
 
 
 def _value(kind: object, value: object, where: str) -> object:
+    """Return a value of TOML as a field has it whose type is `kind`."""
+    several = get_origin(kind) in (UnionType, typing.Union)
+    kinds = [each for each in get_args(kind) if each is not NoneType] if several else [kind]
+    fitting = [each for each in kinds if _fits(value, each)]
+    if not fitting:
+        expected = " or ".join(map(_in_words, kinds))
+        raise ConfigurationError(f"{where} must be {expected}, got {value!r}")
+    return _converted(fitting[0], value, where)
+
+
+def _fits(value: object, kind: object) -> bool:
+    """Return whether a value of TOML has a type; the values in a table or an array may not."""
     origin, arguments = get_origin(kind), get_args(kind)
-    if origin in (UnionType, typing.Union):  # optional fields, or a name or a table
-        tables = [member for member in arguments if get_origin(member) is dict]
-        kind = tables[0] if tables and isinstance(value, dict) else arguments[0]
-        return _value(kind, value, where)
+    if origin is Literal:
+        return value in arguments
     if origin is tuple:
-        if not isinstance(value, list):
-            raise ConfigurationError(f"{where} must be an array of tables")
+        repeats = arguments[-1] is Ellipsis
+        return isinstance(value, list) and (repeats or len(value) == len(arguments))
+    if is_dataclass(kind):
+        return isinstance(value, dict)
+    if isinstance(value, bool):
+        return kind is bool
+    return isinstance(value, (int, float) if kind is float else typing.cast("type", origin or kind))
+
+
+def _in_words(kind: object) -> str:
+    origin, arguments = get_origin(kind), get_args(kind)
+    if origin is Literal:
+        return f"one of {', '.join(map(repr, arguments))}"
+    if origin is tuple:
+        if arguments[-1] is not Ellipsis:
+            return f"an array of {len(arguments)} values"
+        if _in_words(arguments[0]) == _WORDS[dict]:
+            return "an array of tables, each below a header in double brackets"
+        return "an array"
+    return _WORDS[dict if is_dataclass(kind) else origin or kind]
+
+
+def _converted(kind: object, value: object, where: str) -> object:
+    """Return a value that fits a type, with all that is in it."""
+    arguments = get_args(kind)
+    if isinstance(value, list):
+        kinds = arguments[:1] * len(value) if arguments[-1] is Ellipsis else arguments
         return tuple(
-            _value(arguments[0], item, f"{where}[{index}]") for index, item in enumerate(value)
+            _value(each, item, f"{where}[{index}]")
+            for index, (each, item) in enumerate(zip(kinds, value, strict=True))
         )
-    if origin is dict:
-        if not isinstance(value, dict):
-            raise ConfigurationError(f"{where} must be a table")
-        if arguments[1] is float:
-            return {key: _value(float, item, f"{where}.{key}") for key, item in value.items()}
-        return value
     if is_dataclass(kind):
         return build(
             typing.cast("type[object]", kind), typing.cast("dict[str, object]", value), where
         )
-    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+    if isinstance(value, dict) and arguments[1] is float:
+        return {key: _value(float, item, f"{where}.{key}") for key, item in value.items()}
+    if kind is float and isinstance(value, int):
         value = _float(value, where)
-    if not isinstance(value, typing.cast("type", kind)) or (
-        kind is int and isinstance(value, bool)
-    ):
-        raise ConfigurationError(
-            f"{where} must be {getattr(kind, '__name__', kind)}, got {value!r}"
-        )
     return _checked(value, where)
 
 

@@ -22,7 +22,7 @@ from egp_service.simulation.scenario import (
 )
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from egp_service._core import Path
 
@@ -101,7 +101,7 @@ class TrackEnvironment(gym.Env[Observation, Observation]):
         self._start(replace(self._scenario, seed=drawn))
         return self._observe(self._plant.state)
 
-    def step(self, action: Observation) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Drive one period with the action (2,), which is limited to [-1, 1]².
 
         Returns the observation (11,), the reward, which is the progress along the path in m,
@@ -119,7 +119,7 @@ class TrackEnvironment(gym.Env[Observation, Observation]):
             shares = np.array(np.nan)
         if shares.shape != (NU,) or not np.isfinite(shares).all():
             raise InvalidArgumentError(
-                f"expected an action of shape ({NU},) with finite numbers, got {action}"
+                f"expected an action of shape ({NU},) with finite numbers, got {action!r}"
             )
         share, rate = np.clip(shares, -1.0, 1.0)
         u = np.array([share * self._force[int(share > 0.0)], rate * self._steering])

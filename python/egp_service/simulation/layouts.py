@@ -11,7 +11,7 @@ from egp_service.files import write_text
 if TYPE_CHECKING:
     from pathlib import Path
 
-_ROOM = resources.files("egp_service.simulation")
+_PACKAGE = resources.files("egp_service.simulation")
 _WEIGHTS: Final = ".//DockArea[@name='Weights of the members']/plot"
 _COLOURS: Final = ("#1f2937", "#c2410c", "#4ba3c7", "#6a994e", "#7c3aed", "#b45309")
 
@@ -22,9 +22,9 @@ def write_layouts(folder: Path, members: int) -> None:
     PlotJuggler warns of each curve that a recording lacks, so its layout names just the weights
     that there are; Foxglove's names four.
     """
-    foxglove = (_ROOM / "foxglove.json").read_text(encoding="utf-8")
+    foxglove = (_PACKAGE / "foxglove.json").read_text(encoding="utf-8")
     write_text(folder / "foxglove.json", foxglove)
-    root = ET.fromstring((_ROOM / "plotjuggler.xml").read_text(encoding="utf-8"))  # noqa: S314 - ours
+    root = ET.fromstring((_PACKAGE / "plotjuggler.xml").read_text(encoding="utf-8"))  # noqa: S314 - ours
     for plot in root.iterfind(_WEIGHTS):
         for i in range(members):
             colour = _COLOURS[i % len(_COLOURS)]

@@ -66,7 +66,9 @@ class CommonRoadPlant:
 
     def reset(self, x: NDArray[np.float64]) -> None:
         """Put the vehicle into the state, with its suspension at rest."""
-        self._plant.reset(x[P_X], x[P_Y], x[PSI], x[V_X], x[OMEGA], x[V_Y], x[DELTA])
+        self._plant.reset(
+            x[P_X], x[P_Y], x[PSI], x[V_X], yaw_rate=x[OMEGA], v_y=x[V_Y], delta=x[DELTA]
+        )
 
     def drive(self, u: NDArray[np.float64], dt: float, s: float) -> None:
         """Drive one period from the arc length `s` on.

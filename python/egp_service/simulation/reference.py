@@ -120,8 +120,9 @@ class _Weighted(_Planned):
         super().__init__(scenario, path)
         if frictions.size == 0:
             raise ScenarioError(
-                "speed.knows is 'weights', and the service has another library than the scenario: "
-                "name the service's own in the scenario"
+                "speed.knows is 'weights', but the controller does not state the frictions of its "
+                "members, as with a service that has another library than the scenario: name the "
+                "service's own library in the scenario"
             )
         self._frictions = frictions
         self._most = scenario.speed.friction or float("inf")

@@ -22,12 +22,19 @@ if TYPE_CHECKING:
 
 
 def new_folder(root: Path, name: str) -> Path:
-    """Create and return the new folder `root/<stamp>-<name>`."""
+    """Create and return the new folder `root/<stamp>-<name>`; `root` is made if it is missing.
+
+    Raises:
+        OSError: naming the path, if there can be no folder, as where `root` is a file or a symbolic
+            link that leads nowhere.
+
+    """
+    root.mkdir(parents=True, exist_ok=True)
     stamp = datetime.now().astimezone().strftime("%Y%m%d-%H%M%S")
     for count in range(1, 1000):
         folder = root / (f"{stamp}-{name}" if count == 1 else f"{stamp}-{name}-{count}")
         try:
-            folder.mkdir(parents=True)
+            folder.mkdir()
         except FileExistsError:
             continue
         return folder

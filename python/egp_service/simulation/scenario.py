@@ -206,7 +206,7 @@ def load_scenario(name_or_file: str) -> Scenario:
     """Load a built-in scenario by name, or a scenario file by path.
 
     Raises:
-        ScenarioError: if the scenario does not exist or is invalid.
+        ScenarioError: if the scenario does not exist, or its file cannot be read or is invalid.
 
     """
     if name_or_file in built_in_names():
@@ -226,6 +226,8 @@ def load_scenario(name_or_file: str) -> Scenario:
         raise ScenarioError(
             f"{file}: expected the TOML file of a scenario, got bytes that are no UTF-8 text"
         ) from error
+    except OSError as error:
+        raise ScenarioError(f"{file}: {error.strerror}") from error
     return parse_scenario(text, folder, str(file))
 
 

@@ -63,10 +63,13 @@ class OnPolicySettings:
 
     def __post_init__(self) -> None:
         """Check the ranges of the settings."""
-        if self.rounds < 0 or self.laps < 1:
-            raise EgpError("on_policy: rounds must be 0 or more and laps 1 or more")
-        if not all(grip > 0.0 for grip in self.grip):
-            raise EgpError(f"on_policy: grip is {self.grip}: expected two positive fractions")
+        for name, count, least in (("rounds", self.rounds, 0), ("laps", self.laps, 1)):
+            if count < least:
+                raise EgpError(f"{name} is {count}: expected a number of at least {least}")
+        if not all(0.0 < grip <= 1.0 for grip in self.grip):
+            raise EgpError(
+                f"grip is {list(self.grip)}: expected two fractions above 0 and at most 1"
+            )
 
 
 def distinct_surfaces(experiments: Sequence[Experiment]) -> list[Experiment]:

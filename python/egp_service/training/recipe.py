@@ -12,30 +12,43 @@ import platform
 import tempfile
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Final
 
 from egp_service._core import EgpError
 from egp_service.data.collect import CollectionSettings, collect
 from egp_service.data.experiment import Experiment, tool
-from egp_service.data.exploration import ExplorationSettings
-from egp_service.data.sampling import SamplingBounds
 from egp_service.files import read_toml
-from egp_service.shipped import DEMO_RECIPE
+from egp_service.simulation.configuration import build
 from egp_service.training.export import export
 from egp_service.training.on_policy import OnPolicySettings, distinct_surfaces, drive_laps
 from egp_service.training.train import TrainingSettings, check_one_library, train
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Sequence
     from contextlib import AbstractContextManager
-
-    from _typeshed import DataclassInstance
 
     from egp_service.data.dataset import Dataset
     from egp_service.training.train import FitProgress
     from egp_service.training.trained import TrainedMember
 
-Settings = TypeVar("Settings", bound="DataclassInstance")
+
+@dataclasses.dataclass(frozen=True)
+class _File:
+    """The content of a recipe's file: its tables, and fields of `Experiment` for all surfaces."""
+
+    surface: tuple[dict[str, object], ...] = ()
+    collection: CollectionSettings = dataclasses.field(default_factory=CollectionSettings)
+    training: TrainingSettings = dataclasses.field(default_factory=TrainingSettings)
+    on_policy: OnPolicySettings = dataclasses.field(default_factory=OnPolicySettings)
+    friction: float | str | None = None
+    label: str | None = None
+    seed: int | None = None
+    dt: float | None = None
+    vehicle: int | None = None
+    disturbances: dict[str, float] | None = None
+
+
+_OF_SURFACES: Final = frozenset(field.name for field in dataclasses.fields(Experiment))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,33 +65,26 @@ class Recipe:
         """Read a recipe.
 
         Raises:
-            EgpError: if the file is not readable or has unknown or invalid fields, which it names,
-                or if its surfaces do not make one library.
+            ConfigurationError: naming the file, its table and the field, if this is unknown,
+                missing or invalid.
+            EgpError: naming the file, if it is not readable or its surfaces do not make one
+                library.
 
         """
         content = read_toml(path)[1]
+        file = build(_File, content, str(path))
+        common = {name: content[name] for name in _OF_SURFACES if name in content}
+        experiments = tuple(
+            build(Experiment, common | surface, f"{path}: surface[{number}]")
+            for number, surface in enumerate(file.surface)
+        )
         try:
-            collection = content.pop("collection", {})
-            training = _settings(TrainingSettings, content.pop("training", {}))
-            on_policy = _settings(OnPolicySettings, content.pop("on_policy", {}))
-            exploration = _settings(ExplorationSettings, collection.pop("exploration", {}))
-            sampling = _settings(SamplingBounds, collection.pop("sampling", {}))
-            nested = {"exploration": exploration, "sampling": sampling}
-            settings = _settings(CollectionSettings, collection | nested)
-            surfaces = content.pop("surface")
-            experiments = tuple(_settings(Experiment, content | surface) for surface in surfaces)
             _check_surfaces(experiments)
-            if on_policy.rounds > 0:
+            if file.on_policy.rounds > 0:
                 distinct_surfaces(experiments)
         except EgpError as error:
             raise EgpError(f"{path}: {error}") from error
-        except (AttributeError, TypeError, KeyError) as error:
-            reason = f"no table {error}" if isinstance(error, KeyError) else str(error)
-            raise EgpError(
-                f"{path}: not a valid recipe: {reason.replace('.__init__()', '')}; "
-                f"{DEMO_RECIPE} is an example"
-            ) from error
-        return Recipe(experiments, settings, training, on_policy)
+        return Recipe(experiments, file.collection, file.training, file.on_policy)
 
 
 def _check_surfaces(experiments: Sequence[Experiment]) -> None:
@@ -176,39 +182,3 @@ def training_provenance(settings: TrainingSettings) -> dict[str, str]:
         "botorch": version("botorch"),
         "training": json.dumps(dataclasses.asdict(settings), sort_keys=True),
     }
-
-
-def _settings(kind: type[Settings], table: Mapping[str, Any]) -> Settings:
-    """Make frozen settings of a table of TOML, whose lists become tuples.
-
-    Raises:
-        EgpError: if a value does not have the type of the setting's default, or is no text where
-            there is none.
-
-    """
-    values = {
-        name: tuple(value) if isinstance(value, list) else value for name, value in table.items()
-    }
-    for field in dataclasses.fields(kind):
-        default = "wet" if str(field.type) == "str" else field.default
-        if field.name in values and not _is_like(values[field.name], default):
-            example = list(default) if isinstance(default, tuple) else default
-            raise EgpError(
-                f"{field.name} is {table[field.name]!r}: expected a value such as {example!r}"
-            )
-    return kind(**values)
-
-
-def _is_like(value: object, default: object) -> bool:
-    """Return whether a value has the type of a default, and as many numbers as this one."""
-    if isinstance(default, tuple):
-        return (
-            isinstance(value, tuple)
-            and (isinstance(default[0], str) or len(value) == len(default))
-            and all(_is_like(item, default[0]) for item in value)
-        )
-    if isinstance(default, float):
-        return isinstance(value, float) or _is_like(value, 0)
-    if isinstance(default, int):
-        return isinstance(value, int) and not isinstance(value, bool)
-    return isinstance(value, str) or not isinstance(default, str)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import dataclasses
 import operator
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Final, Literal, get_args
 
 import numpy as np
 
@@ -40,6 +40,10 @@ if TYPE_CHECKING:
     from egp_service.training.vehicle_fit import FittedVehicle
 
 
+# A library file has at most as many training points of a member (docs/library.md).
+_MOST_POINTS: Final = 5000
+
+
 @dataclasses.dataclass(frozen=True)
 class TrainingSettings:
     """Settings of training. The same data, settings and machine give the same bytes."""
@@ -58,7 +62,8 @@ class TrainingSettings:
     constants each output has its own kernel.
     """
     max_points: int = 400
-    """Largest number of transitions of a member; the control step's time grows with it."""
+    """Largest number of transitions of a member, at most 5000, as in a library; the control step's
+    time grows with it."""
     first_points: int = 400
     """Number of random transitions of the first fit, whose lengthscales choose the final ones."""
     restarts: int = 1
@@ -93,6 +98,11 @@ class TrainingSettings:
         for name, least in smallest.items():
             if getattr(self, name) < least:
                 raise EgpError(f"{name} is {getattr(self, name)}: expected at least {least}")
+        if self.max_points > _MOST_POINTS:
+            raise EgpError(
+                f"max_points is {self.max_points}: expected at most {_MOST_POINTS}, as many as a "
+                "library holds for a member"
+            )
         if not (0.0 < self.validation_fraction < 1.0):
             raise EgpError(
                 f"validation_fraction is {self.validation_fraction}: expected between 0 and 1"
@@ -155,7 +165,7 @@ def train(
         raise EgpError("no datasets: give at least one Parquet file")
     check_one_library([dataset.provenance for dataset in datasets])
     rngs = [np.random.default_rng([settings.seed, number]) for number in range(len(surfaces))]
-    logs = [merge(surfaces[key]) for key in sorted(surfaces)]
+    logs = [merge(surfaces[key]).of_vehicle(vehicle) for key in sorted(surfaces)]
     try:
         return _train(logs, settings, report, vehicle=vehicle, rngs=rngs)
     except VehicleFitError as error:

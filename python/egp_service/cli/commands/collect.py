@@ -62,11 +62,7 @@ def collect(
     cluster: Cluster = None,
     from_log: Annotated[
         list[Path] | None,
-        typer.Option(
-            "--from-log",
-            "--from-csv",
-            help="Import this log: CSV, Parquet, MCAP or ROS bag; repeat for more.",
-        ),
+        typer.Option(help="Import this log: CSV, Parquet, MCAP or ROS bag; repeat for more."),
     ] = None,
     column: Annotated[
         list[str] | None,

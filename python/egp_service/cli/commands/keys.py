@@ -40,9 +40,10 @@ def keys(
 ) -> None:
     """Make keys, certificates and configurations that close a service to strangers.
 
-    Copy the files to where their names say, and keep the folder, with the list
-    vehicles.keys, library.pub and the folder vehicles, where no service and no
-    vehicle is; ca.key and library.key are nowhere else. Called again for other
+    Copy each file to the program for which it is named. Keep the folder itself,
+    with vehicles.keys, library.pub and the folder vehicles, on a machine where
+    neither a service nor a vehicle runs, because later calls read it. Never copy
+    ca.key and library.key to another machine. Called again for other
     vehicles, it keeps what is in the folder and adds what is missing; start the
     service again with its new file then. Called again for a vehicle that there
     is, it renews the certificate: the .json5 file is written anew, with the same

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from egp_service._core import EgpError
-from egp_service.cli.options import check_outputs
+from egp_service.cli.options import check_outputs, check_writable
 
 _OUTPUT = Path("vehicle.toml")
 
@@ -86,6 +86,8 @@ def fit(
                 f"{output} exists: state -o {output} to replace it, or the name of another file"
             )
     check_outputs([*data, known], output)
+    output.parent.mkdir(parents=True, exist_ok=True)
+    check_writable(output)
     surfaces: dict[str, list[Dataset]] = {}
     for path in data:
         dataset = Dataset.read(path)
