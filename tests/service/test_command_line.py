@@ -159,7 +159,7 @@ def test_a_map_that_could_not_write_a_road_has_status_1(tmp_path: Path) -> None:
     finally:
         process.kill()
     assert process.returncode == 1
-    assert "1 roads of the map were not written" in errors
+    assert "1 of the map's roads could not be written" in errors
 
 
 @pytest.mark.parametrize("sent", [signal.SIGTERM, signal.SIGINT])

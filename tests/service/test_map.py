@@ -252,7 +252,7 @@ def test_roads_are_written_in_time_and_a_map_that_cannot_write_says_so(tmp_path:
         assert ask(session, tile_key("car", 1), good) == (b"", None)
         wait_until(lambda: metric(session, 'egp_map_writes_total{outcome="failed"}') >= 1)
         assert metric(session, "egp_map_unsaved_roads") == 1
-        with pytest.raises(EgpError, match="1 roads of the map were not written"):
+        with pytest.raises(EgpError, match="1 of the map's roads could not be written"):
             server.stop()
 
 

@@ -58,8 +58,10 @@ def run(
             parts[e.name] = _apart(progress, campaign, e, full=full)
         try:
             finish(list(parts.values()), jobs, cluster)
-        except BaseException:
-            progress.console.print("Interrupted. The same command continues with the missing runs.")
+        except BaseException as error:
+            if not isinstance(error, Exception):
+                told = "Interrupted. The same command continues with the missing runs."
+                progress.console.print(told)
             raise
     return {name: part.results() for name, part in parts.items()}
 

@@ -101,10 +101,8 @@ class Network:
 
     def ask(self, query: Query) -> None:
         """Send a query, whose answers become events; one that cannot be sent ends immediately."""
-
-        inbox = (
-            self._inbox
-        )  # zenoh keeps the functions until the query ends, and so not the network
+        # zenoh keeps the functions until the query ends, and so they do not hold the network.
+        inbox = self._inbox
 
         def deliver(reply: zenoh.Reply) -> None:
             now, sample, error = time.monotonic(), reply.ok, reply.err

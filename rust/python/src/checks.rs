@@ -9,13 +9,13 @@ use pyo3::prelude::*;
 use crate::error::{InvalidArgumentError, raise};
 use crate::wire::Replica;
 
-/// Check all that a service needs to start, as `egp-server --check` does. Return what it would serve, and a warning if one of
-/// its certificates expires within 30 days, otherwise `None`.
+/// Check all that a service needs to start, as `egp-server --check` does. Return what it would serve, and warnings: of a
+/// certificate that expires within 30 days, and of secret keys that every user of the machine may use.
 #[pyfunction]
-pub fn check_service(py: Python<'_>, config_toml: &str) -> PyResult<(Replica, Option<String>)> {
+pub fn check_service(py: Python<'_>, config_toml: &str) -> PyResult<(Replica, Vec<String>)> {
     let config = ServiceConfig::from_toml(config_toml).map_err(raise)?;
     let checked = (py.detach(|| egp_service::check(&config))).map_err(raise)?;
-    Ok((Replica::of(py, checked.served)?, checked.warning))
+    Ok((Replica::of(py, checked.served)?, checked.warnings))
 }
 
 /// The vector instructions that Gaussian processes use on this machine: `AVX-512`, `AVX2` or `none`.

@@ -1,6 +1,7 @@
 //! Who sends a question: the seals of vehicles are checked against their keys, and no question counts twice.
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
@@ -102,6 +103,9 @@ impl Guard {
     /// # Errors
     /// [`KeyFileError`] if the file cannot be read, or has no key or something else.
     pub(crate) fn load(path: &Path) -> Result<Self, KeyFileError> {
+        if let Some(warning) = exposed(path) {
+            tracing::warn!("{warning}");
+        }
         read(path).map(Self::new)
     }
 
@@ -217,6 +221,19 @@ impl Guard {
 }
 
 /// Reads the keys of a file, which must have at least one.
+/// A warning about a file of secret keys that every user of the machine may read or write.
+pub(crate) fn exposed(path: &Path) -> Option<String> {
+    const OTHERS: u32 = 0o007;
+    let mode = std::fs::metadata(path).ok()?.permissions().mode();
+    (mode & OTHERS != 0).then(|| {
+        format!(
+            "{0} holds secret keys, and every user of this machine may use it (mode {1:03o}): `chmod 600 {0}`",
+            path.display(),
+            mode & 0o777
+        )
+    })
+}
+
 fn read(path: &Path) -> Result<KeyRing, KeyFileError> {
     let keys = KeyRing::read(path)?;
     if keys.is_empty() {

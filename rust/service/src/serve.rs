@@ -10,7 +10,7 @@ use crate::certificates::{now, warning};
 use crate::config::ServiceConfig;
 use crate::configuration::{SERVICE, configuration, rehearse};
 use crate::descriptors::allow_all;
-use crate::guard::Guard;
+use crate::guard::{Guard, exposed};
 use crate::handler::Handler as _;
 use crate::heap;
 use crate::http::HttpListener;
@@ -38,8 +38,9 @@ pub enum ServeError {
 pub struct Checked {
     /// What the service would serve.
     pub served: Ready,
-    /// A warning about the certificate that expires first; none if it is not yet time to renew it.
-    pub warning: Option<String>,
+    /// A warning about the certificate that expires first, if it is time to renew it, and one about a file of secret keys that
+    /// every user of the machine may use.
+    pub warnings: Vec<String>,
 }
 
 /// Checks all that a service needs to start, and returns what it would serve: the log filter, library, settings, the file
@@ -64,7 +65,9 @@ pub fn check(config: &ServiceConfig) -> Result<Checked, ServeError> {
     rehearse(zenoh, config.http).map_err(StartError::from)?;
     Ok(Checked {
         served: libraries.describe(),
-        warning: end.and_then(|end| warning(end, now())),
+        warnings: (end.and_then(|end| warning(end, now())).into_iter())
+            .chain(config.vehicle_keys.as_deref().and_then(exposed))
+            .collect(),
     })
 }
 

@@ -135,9 +135,9 @@ def serve(
     _add_endpoints(table, {"listen/endpoints": listen, "connect/endpoints": connect})
     if check:
         with naming(config):
-            served, warning = check_service(dumps(table))
+            served, warnings = check_service(dumps(table))
         _show(served)
-        if warning is not None:
+        for warning in warnings:
             typer.echo(f"egp: {warning}", err=True)
         return
     if config is None or listen:

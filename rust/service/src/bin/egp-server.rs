@@ -129,7 +129,7 @@ fn run() -> Result<(), Box<dyn std::error::Error>> {
         return Ok(serve(&config)?);
     }
     let checked = egp_service::check(&config)?;
-    if let Some(warning) = checked.warning {
+    for warning in checked.warnings {
         eprintln!("egp-server: {warning}");
     }
     let served = checked.served;

@@ -61,7 +61,7 @@ pub enum MapError {
     Network(#[from] NetworkError),
     /// Roads could not be written at the end.
     #[error(
-        "{0} roads of the map were not written, and what changed since their last writing is lost; the log has the reasons"
+        "{0} of the map's roads could not be written, and what changed since their last writing is lost; the log has the reasons"
     )]
     Unsaved(usize),
     /// The thread that keeps the map panicked.

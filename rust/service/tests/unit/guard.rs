@@ -36,6 +36,19 @@ fn accept(guard: &Guard, query: &Recorded) -> Result<Sealed, String> {
 }
 
 #[test]
+fn a_file_of_keys_that_every_user_may_read_is_a_warning() {
+    use std::os::unix::fs::PermissionsExt as _;
+    let file = std::env::temp_dir().join(format!("egp-exposed-{}", std::process::id()));
+    std::fs::write(&file, "").unwrap();
+    for (mode, expected) in [(0o600, false), (0o640, false), (0o644, true), (0o602, true)] {
+        std::fs::set_permissions(&file, std::fs::Permissions::from_mode(mode)).unwrap();
+        assert_eq!(exposed(&file).is_some(), expected, "{mode:o}");
+    }
+    std::fs::remove_file(&file).unwrap();
+    assert_eq!(exposed(&file), None);
+}
+
+#[test]
 fn the_sender_needs_the_key_of_the_vehicle() {
     let (guard, key) = guard();
     let mut query = sealed(&key, 7, 1);
