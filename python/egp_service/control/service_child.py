@@ -34,8 +34,8 @@ def main() -> None:
     # Until the service has handlers of its own, for instance while it imports, SIGTERM would end
     # this process before its folder is removed.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
-    threading.Thread(target=wait, daemon=True).start()
     try:
+        threading.Thread(target=wait, daemon=True).start()
         runpy.run_module("egp_service", run_name="__main__", alter_sys=True)
     finally:
         if alone.is_set() and folder.name.startswith(FOLDER_PREFIX):

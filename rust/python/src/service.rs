@@ -280,7 +280,10 @@ impl Server {
 #[pyfunction]
 pub fn serve(py: Python<'_>, config_toml: &str) -> PyResult<()> {
     let config = ServiceConfig::from_toml(config_toml).map_err(raise)?;
-    let ended = py.detach(|| egp_service::serve(&config));
+    // A signal that came before is one for Python's handlers, and a later one is for the service.
+    let signals = egp_service::ServiceSignals::register().map_err(raise)?;
+    py.check_signals()?;
+    let ended = py.detach(|| egp_service::serve(&config, signals));
     after_signal(py)?;
     ended.map_err(raise)
 }

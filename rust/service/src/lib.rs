@@ -61,7 +61,7 @@ pub use library_table::{LibraryTable, Reloaded, TableFull, TableWorkspace};
 pub use logging::init_logging;
 pub use query::Query;
 pub use replica::Replica;
-pub use serve::{Checked, ServeError, check, serve};
+pub use serve::{Checked, ServeError, ServiceSignals, check, serve};
 pub use server::Server;
 pub use signature::SignatureError;
 pub use start_error::StartError;

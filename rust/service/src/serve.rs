@@ -71,21 +71,33 @@ pub fn check(config: &ServiceConfig) -> Result<Checked, ServeError> {
     })
 }
 
+/// The signals that a service waits for. One that comes after they were registered is not lost.
+pub struct ServiceSignals(Signals);
+
+impl ServiceSignals {
+    /// Registers SIGTERM and SIGINT, unless this process inherited them as ignored, and SIGHUP.
+    ///
+    /// # Errors
+    /// [`ServeError::Signals`].
+    pub fn register() -> Result<Self, ServeError> {
+        let mut caught = not_ignored(&[SIGTERM, SIGINT]);
+        caught.push(SIGHUP); // also under `nohup`, because it does not end this program
+        Signals::new(caught).map(Self).map_err(ServeError::Signals)
+    }
+}
+
 /// Fetches the library first if the configuration states one by its hash. Serves until SIGTERM or SIGINT, then drains.
 /// SIGHUP loads the library file again.
 ///
 /// # Errors
 /// [`ServeError`] if the service does not start.
-pub fn serve(config: &ServiceConfig) -> Result<(), ServeError> {
+pub fn serve(config: &ServiceConfig, signals: ServiceSignals) -> Result<(), ServeError> {
+    let ServiceSignals(mut signals) = signals;
     heap::share();
     let _flush = FlushAtEnd;
     init_logging(&config.log, config.log_json).map_err(ServeError::Logging)?;
     allow_all();
     survive_file_size_limit().map_err(ServeError::Signals)?;
-    // Signals are registered before the start, so that an early one is not lost.
-    let mut caught = not_ignored(&[SIGTERM, SIGINT]);
-    caught.push(SIGHUP); // also under `nohup`, because it does not end this program
-    let mut signals = Signals::new(caught).map_err(ServeError::Signals)?;
     let (mut ended, mut reload) = (false, false);
     let mut stopped = || {
         for signal in signals.pending() {

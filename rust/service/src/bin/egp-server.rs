@@ -6,7 +6,7 @@ use std::process::ExitCode;
 
 use clap::Parser;
 use egp_core::library::hex;
-use egp_service::{ServiceConfig, serve};
+use egp_service::{ServiceConfig, ServiceSignals, serve};
 use egp_wire::print_line;
 
 /// The text of `--help` behind the options.
@@ -126,7 +126,7 @@ fn run() -> Result<(), Box<dyn std::error::Error>> {
     let check = arguments.check;
     let config = arguments.configuration()?;
     if !check {
-        return Ok(serve(&config)?);
+        return Ok(serve(&config, ServiceSignals::register()?)?);
     }
     let checked = egp_service::check(&config)?;
     for warning in checked.warnings {
