@@ -97,7 +97,7 @@ def test_what_cannot_be_driven_is_refused_first(tmp_path: Path) -> None:
     write_centre_line(file, 3.0)
     with pytest.raises(EgpError, match="scale"):
         on_track(UNSEEN, file, 0.0)
-    with pytest.raises(EgpError, match=r"scale 0.001: .*notes\.csv is 0\.0\d+ m long"):
+    with pytest.raises(EgpError, match=r"scale 0.001: .*notes\.csv: expected at least 0.1 m"):
         on_track(UNSEEN, file, 1e-3)
     result = CliRunner().invoke(app, ["evaluate", "-e", "lane-change", "--track", str(file)])
     assert isinstance(result.exception, EgpError)

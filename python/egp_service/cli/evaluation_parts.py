@@ -59,9 +59,9 @@ def run(
         try:
             finish(list(parts.values()), jobs, cluster)
         except BaseException as error:
-            if not isinstance(error, Exception):
-                told = "Interrupted. The same command continues with the missing runs."
-                progress.console.print(told)
+            interrupted = "" if isinstance(error, Exception) else "Interrupted. "
+            told = "The same command continues with the missing runs."
+            progress.console.print(f"{interrupted}{told}")
             raise
     return {name: part.results() for name, part in parts.items()}
 
