@@ -51,7 +51,7 @@ fn in_a_tight_bend_a_plan_needs_no_more_than_the_grip() {
         width: 4.0,
         corner: Corner {
             radius: 1.1,
-            transition: 0.5,
+            transition: 0.2,
         },
         track_width: 1.8,
     };
@@ -61,11 +61,13 @@ fn in_a_tight_bend_a_plan_needs_no_more_than_the_grip() {
     let believed = vec![friction; planner.places()];
     let plan = planner.plan(0.0, None, &believed).unwrap();
     let allowed = limits.lateral * limits.grip * friction * STANDARD_GRAVITY;
-    for i in 0..500 {
-        let s = 0.02 * f64::from(i);
-        let lateral = plan.speed(s).powi(2) * path.sample(s).curvature.abs();
-        assert!(lateral < 1.05 * allowed, "{s}: {lateral} {allowed}");
-    }
+    // Half a lap; a place farther ahead counts as one behind the vehicle.
+    let most = (0..1000)
+        .map(|i| 0.01 * f64::from(i))
+        .map(|s| plan.speed(s).powi(2) * path.sample(s).curvature.abs())
+        .fold(0.0, f64::max);
+    // With knots that are 1 m apart it is 1.06 times.
+    assert!(most < 1.03 * allowed, "{most} {allowed}");
 }
 
 #[test]
