@@ -11,7 +11,7 @@ const DISTANCE: f64 = 250.0;
 /// Largest distance between knots, m.
 const SPACING: f64 = 1.0;
 /// Largest distance between knots as a share of the path's smallest radius. Farther apart, the speed that is interpolated between
-/// two knots of a tight bend would need more than the grip.
+/// two knots of a tight bend would need more than its share of the grip.
 const SHARE_OF_RADIUS: f64 = 0.125;
 /// Smallest value of the largest distance, m, however tight the path is.
 const NARROWEST: f64 = 0.05;
