@@ -23,7 +23,8 @@ from egp_service.cli.checks import run_checks
 from egp_service.cli.settings_text import read_settings_document
 from egp_service.control.endpoints import check_endpoints, why_not_free, why_unreachable
 from egp_service.control.recorded import Recorded, RecordedStep, RecordingError, write_requests
-from egp_service.data.dataset import Dataset, Provenance
+from egp_service.data.dataset import Dataset
+from egp_service.data.provenance import Provenance
 from egp_service.files import replacing, write_text
 
 if TYPE_CHECKING:

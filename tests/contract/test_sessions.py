@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from types import SimpleNamespace
 from typing import Any
 
@@ -34,7 +33,6 @@ def test_a_link_that_does_not_close_in_time_replaces_no_result(kind: type[Any]) 
     vars(opened).update(
         {"_session": stuck, "session": stuck, "_closed": False, "_exchange": exchange},
         _last=None,
-        _process=os.getpid(),
     )
     opened.close()
     assert stuck.closed == 1

@@ -28,7 +28,8 @@ from egp_service.cli.tables import (
     vehicle_table,
 )
 from egp_service.data.alignment import Delays
-from egp_service.data.dataset import Dataset, Provenance
+from egp_service.data.dataset import Dataset
+from egp_service.data.provenance import Provenance
 from egp_service.evaluation import baselines
 from egp_service.evaluation.experiments import EXPERIMENTS
 from egp_service.evaluation.logs import OURS, PAPER, VEHICLE

@@ -9,10 +9,11 @@ import pytest
 import torch
 
 from egp_service import EgpError
-from egp_service._core import Library, Plant, VehicleParameters
+from egp_service._core import Library, Plant, VehicleParameters, slip_speed
 from egp_service.evaluation import baselines
 from egp_service.shipped import EVALUATION_LIBRARY
 from egp_service.training import prior_mean
+from egp_service.training.euler import euler_steps
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -42,6 +43,21 @@ def test_fitted_vehicles_keep_all_but_the_gps(tmp_path: Path) -> None:
         expected = prior_mean.predict(Z, origin.single_track, library.dt, 1)
         np.testing.assert_allclose(mean, expected, atol=1e-13)
         assert not variance.any()
+
+
+def test_a_model_car_has_the_same_slip_in_both_languages(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(baselines._CHASSIS, 1, (3.74, 0.159, 0.171, 0.047, 0.05))  # noqa: SLF001
+    library = baseline(tmp_path, "single-track")
+    (member,) = library.members
+    assert member.single_track is not None
+    # Below and above its slip speed of 1.2 m/s, and below that of a large car.
+    z = np.array([[v_x, 0.2, 0.5, 0.1, 5.0, 0.4] for v_x in (0.8, 1.5, 2.5, 4.0)])
+    assert slip_speed(0.33) == pytest.approx(1.22, abs=0.01)
+    steps = euler_steps(member.single_track, library.dt)
+    expected = prior_mean.predict(z, member.single_track, library.dt, steps)
+    np.testing.assert_allclose(library.predict(z)[0], expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("vehicle", [1, 2])

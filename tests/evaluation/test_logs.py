@@ -22,9 +22,10 @@ from egp_service.control.toml_text import dumps
 from egp_service.data.alignment import Delays, align, consecutive
 from egp_service.data.channels import channels
 from egp_service.data.collect import CollectionSettings, collect
-from egp_service.data.dataset import Dataset, Provenance
+from egp_service.data.dataset import Dataset
 from egp_service.data.experiment import Experiment
 from egp_service.data.log_import import Column, import_log
+from egp_service.data.provenance import Provenance
 from egp_service.data.sensors import Sensors, measure
 from egp_service.evaluation.logs import OURS, PAPER, LogOutcome, evaluate_logs
 from egp_service.training.delays import find_delays

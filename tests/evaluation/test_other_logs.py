@@ -11,8 +11,9 @@ from matplotlib.figure import Figure
 
 from egp_service.data.alignment import Delays
 from egp_service.data.collect import CollectionSettings, collect
-from egp_service.data.dataset import Dataset, Provenance
+from egp_service.data.dataset import Dataset
 from egp_service.data.experiment import Experiment
+from egp_service.data.provenance import Provenance
 from egp_service.data.sensors import Sensors, measure
 from egp_service.evaluation import logs
 from egp_service.evaluation.log_figures import draw_log

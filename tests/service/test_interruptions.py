@@ -15,9 +15,10 @@ import numpy as np
 import pytest
 import zenoh
 
-from egp_service import Controller, EgpError, VehicleClient
+from egp_service import Controller, EgpError, StatusPublisher, VehicleClient
 from egp_service._core import VehicleParameters, decode_request
 from egp_service._core.testing import live_key
+from egp_service.control.endpoints import free_endpoint
 from egp_service.control.network import Announcement
 from egp_service.control.service_process import ServiceProcess
 from egp_service.shipped import DEMO_LIBRARY
@@ -139,8 +140,11 @@ def test_a_client_that_is_no_longer_used_is_collected(service: ServiceProcess) -
     session.close()
 
 
-def test_a_forked_process_gets_an_error_and_can_close(client: VehicleClient) -> None:
+def test_a_forked_process_gets_errors_and_can_close(
+    service: ServiceProcess, client: VehicleClient
+) -> None:
     assert step(client).mode == "normal"
+    publisher = StatusPublisher(client, free_endpoint())
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of a fork beside threads, which this test is about
         child = os.fork()
@@ -148,7 +152,10 @@ def test_a_forked_process_gets_an_error_and_can_close(client: VehicleClient) -> 
         try:
             with pytest.raises(EgpError, match="forked"):
                 step(client)
+            with pytest.raises(EgpError, match="forked"):
+                VehicleClient.connect(service.endpoint, gate=GATE)
             client.close()
+            publisher.close()
             os._exit(0)
         finally:
             os._exit(1)
@@ -158,6 +165,7 @@ def test_a_forked_process_gets_an_error_and_can_close(client: VehicleClient) -> 
             os.kill(child, signal.SIGKILL)
         time.sleep(0.05)
     assert ended[1] == 0
+    publisher.close()
     assert step(client).mode == "normal"
 
 

@@ -16,9 +16,9 @@ import polars as pl
 
 from egp_service import EgpError, VehicleParameters
 from egp_service.data.collect import CollectionSettings, collect
-from egp_service.data.dataset import Provenance
 from egp_service.data.experiment import Experiment
 from egp_service.data.log_import import Column, import_log
+from egp_service.data.provenance import Provenance
 
 if TYPE_CHECKING:
     from collections.abc import Callable

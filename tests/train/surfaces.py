@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from egp_service._core import VehicleParameters
-from egp_service.data.dataset import Dataset, Provenance
+from egp_service.data.dataset import Dataset
+from egp_service.data.provenance import Provenance
 
 # The vehicle that the data are said to come from.
 TOY = VehicleParameters.commonroad(2)

@@ -14,13 +14,15 @@ import pytest
 from surfaces import provenance, surface
 
 from egp_service import EgpError
-from egp_service.data.dataset import METADATA_KEY, Dataset, Provenance, merge
+from egp_service.data.dataset import METADATA_KEY, Dataset, merge
 from egp_service.data.experiment import Experiment
 from egp_service.data.table import read_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
+
+    from egp_service.data.provenance import Provenance
 
 
 def test_comes_back_bit_for_bit(tmp_path: Path) -> None:

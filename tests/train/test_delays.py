@@ -13,8 +13,9 @@ from surfaces import TOY
 from egp_service import VehicleParameters
 from egp_service.data.alignment import Delays, align, available
 from egp_service.data.collect import CollectionSettings, collect
-from egp_service.data.dataset import Dataset, Provenance
+from egp_service.data.dataset import Dataset
 from egp_service.data.experiment import Experiment
+from egp_service.data.provenance import Provenance
 from egp_service.data.sensors import Sensors, measure
 from egp_service.training import delays
 from egp_service.training.delays import find_delays

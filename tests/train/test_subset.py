@@ -6,9 +6,10 @@ import numpy as np
 import torch
 
 from egp_service.data.collect import CollectionSettings, collect
-from egp_service.data.dataset import Dataset, Provenance
+from egp_service.data.dataset import Dataset
 from egp_service.data.experiment import Experiment
 from egp_service.data.exploration import ExplorationSettings
+from egp_service.data.provenance import Provenance
 from egp_service.training.exact_member import exact_member
 from egp_service.training.gaussian_process import (
     WHOLE_CHANGES,

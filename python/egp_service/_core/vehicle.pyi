@@ -7,6 +7,13 @@ FULL_SIZE: float  # distance of the axles in m from which on `slip_speed` is `MI
 MIN_SLIP_SPEED: float  # m/s
 STANDARD_GRAVITY: float  # of speed profiles, and the unit "g" of logs, m/s²
 
+def slip_speed(wheelbase: float) -> float:
+    """Return the lowest speed, m/s, at which slip angles are computed: 3 sqrt(min(1, L / 2 m)).
+
+    L is the distance of the axles. Speeds of vehicles of similar shape are proportional to the root
+    of their size (Froude).
+    """
+
 @final
 class VehicleParameters:
     """The body of one vehicle, the limits of its actuators, and its tyres.
@@ -56,10 +63,7 @@ class VehicleParameters:
         """Return all values by the names of the arguments, in their units."""
     @property
     def slip_speed(self) -> float:
-        """Lowest speed, m/s, at which slip angles are computed: 3 sqrt(min(1, (l_f + l_r) / 2 m)).
-
-        Speeds of vehicles of similar shape are proportional to the root of their size (Froude).
-        """
+        """Lowest speed, m/s, at which slip angles of this vehicle are computed."""
     def gate_limits(self) -> dict[str, float]:
         """Return the limits of a gate that allows exactly what this vehicle can do.
 

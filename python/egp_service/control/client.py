@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Self
 from egp_service._core import Decision, Discovery, Driver, InvalidArgumentError, decode_ready
 from egp_service.control.endpoints import SERVICE_PORT, endpoint_list
 from egp_service.control.network import Announcement, Network, no_link, unreachable
-from egp_service.control.session import session_config
+from egp_service.control.session import check_process, session_config
 from egp_service.control.step import StepController, as_dict
 
 if TYPE_CHECKING:
@@ -103,6 +103,7 @@ class VehicleClient(StepController):
             TypeError: for endpoints or gate settings of another type.
             InvalidArgumentError: for names, gate settings, a timeout, a configuration, or a file of
                 keys or traces that cannot be used.
+            EgpError: in a process that was forked from one in which zenoh ran.
             ServiceUnreachableError: naming each replica with the reason, when no replica gives a
                 usable answer within `timeout` seconds.
 
@@ -145,7 +146,7 @@ class VehicleClient(StepController):
             raise
 
     def _decide(self, start: float, budget: float, measured: Measured) -> Decision:
-        self._network.check_process()
+        check_process()
         due = start + budget
         few = max(0, _FEW_EVENTS - self._tell_what_came(_FEW_EVENTS, due))
         self._driver.tick(start, due, *measured)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 import time
 from functools import partial
 from typing import TYPE_CHECKING, Final, Self
@@ -14,16 +13,17 @@ from egp_service._core import EgpError, FleetExchange, FleetNotice
 from egp_service.control.endpoints import MAP_PORT, endpoint_list, endpoint_names
 from egp_service.control.inbox import Inbox
 from egp_service.control.session import (
-    FORKED,
+    check_process,
     close_session,
     direct,
-    is_forked,
+    is_lost,
     open_session,
     session_config,
     zenoh_reason,
 )
 
 if TYPE_CHECKING:
+    import os
     from collections.abc import Callable, Mapping, Sequence
 
     from egp_service._core import MapQuery, RoadBelief
@@ -71,7 +71,8 @@ class FleetMap:
             TypeError: for endpoints or a belief of another type.
             InvalidArgumentError: for endpoints, names, a configuration or times that cannot be
                 used, and without endpoints unless there is a configuration.
-            EgpError: if zenoh opens no session.
+            EgpError: if zenoh opens no session, and in a process that was forked from one in which
+                zenoh ran.
 
         """
         names = endpoint_list(endpoints, MAP_PORT, configured=bool(zenoh_file or zenoh_config))
@@ -93,7 +94,6 @@ class FleetMap:
             raise EgpError(
                 f"zenoh cannot open a session with {endpoint_names(names)}: {zenoh_reason(error)}"
             ) from error
-        self._process = os.getpid()
         self._subscriber = self._session.declare_subscriber(
             self._exchange.publications, direct(_changing(self._inbox, self._exchange))
         )
@@ -151,7 +151,7 @@ class FleetMap:
         if self._closed:
             return
         self._closed = True
-        if is_forked(self._process):
+        if is_lost():
             return
         try:
             self._exchange.finish(time.monotonic())
@@ -171,8 +171,7 @@ class FleetMap:
     def _check_open(self) -> None:
         if self._closed:
             raise EgpError("the fleet's map was closed: make another FleetMap")
-        if is_forked(self._process):
-            raise EgpError(FORKED)
+        check_process()
 
     def _wait(self) -> None:
         """Handle events until the exchange no longer waits for any."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from dataclasses import dataclass
 from functools import partial
@@ -15,10 +14,8 @@ from egp_service._core import LIVE_KEYS, EgpError, replica_of_live
 from egp_service.control.endpoints import endpoint_names, why_unreachable
 from egp_service.control.inbox import Inbox
 from egp_service.control.session import (
-    FORKED,
     close_session,
     direct,
-    is_forked,
     look_again,
     open_session,
     zenoh_reason,
@@ -74,16 +71,10 @@ class Network:
             raise unreachable(
                 endpoints, f"zenoh cannot open a session ({zenoh_reason(error)})"
             ) from error
-        self._process = os.getpid()
         self._on_token = _announcing(self._inbox)
         self._subscriber = self.session.liveliness().declare_subscriber(
             LIVE_KEYS, direct(self._on_token), history=True
         )
-
-    def check_process(self) -> None:
-        """Raise `EgpError` in a process that was forked from the one of the session."""
-        if is_forked(self._process):
-            raise EgpError(FORKED)
 
     def next(self, patience: float) -> Callable[[Driver], None] | None:
         """Return the next event, or None if there is none within `patience` seconds."""
@@ -155,9 +146,8 @@ class Network:
         return bool(info.peers_zid() or info.routers_zid())
 
     def close(self) -> None:
-        """Close the session, unless this process was forked from its own."""
-        if not is_forked(self._process):
-            close_session(self.session)
+        """Close the session."""
+        close_session(self.session)
 
 
 def _announcing(inbox: Inbox[Callable[[Driver], None]]) -> Callable[[zenoh.Sample], None]:

@@ -13,6 +13,7 @@ from egp_service.control.session import (
     LARGEST_AT_SERVICE,
     close_session,
     session_config,
+    start_session,
     zenoh_reason,
 )
 
@@ -54,7 +55,7 @@ class Router:
         if zenoh_file is not None:
             _check_mode(Path(zenoh_file))
         try:
-            self._session = zenoh.open(config)
+            self._session = start_session(config)
         except zenoh.ZError as error:
             raise EgpError(
                 f"zenoh cannot open a router's session: {zenoh_reason(error)}"

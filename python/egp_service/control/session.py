@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 import zenoh
 
 from egp_service import callbacks
-from egp_service._core import InvalidArgumentError, refused_setting
+from egp_service._core import EgpError, InvalidArgumentError, refused_setting
 from egp_service.control.endpoints import check_endpoints
 
 if TYPE_CHECKING:
@@ -111,6 +111,52 @@ def session_config(
     return config
 
 
+class _Zenoh:
+    """Whether zenoh runs in this process, and whether it ran in the one from which it was forked.
+
+    The threads of zenoh do not exist in a forked process, so that each of its functions would wait
+    without an end there.
+    """
+
+    runs = False
+    lost = False
+
+    @classmethod
+    def lose(cls) -> None:
+        """Note a fork, in the forked process."""
+        cls.lost = cls.runs
+
+
+os.register_at_fork(after_in_child=_Zenoh.lose)
+
+
+def check_process() -> None:
+    """Raise `EgpError` in a process that was forked from one in which zenoh ran."""
+    if _Zenoh.lost:
+        raise EgpError(
+            "this process was forked from one that had connected, and zenoh does not work in it: "
+            'start processes with multiprocessing.get_context("spawn"), and connect in each of them'
+        )
+
+
+def is_lost() -> bool:
+    """Whether this process was forked from one in which zenoh ran, so that zenoh cannot be used."""
+    return _Zenoh.lost
+
+
+def start_session(config: zenoh.Config) -> zenoh.Session:
+    """Open a session with one attempt.
+
+    Raises:
+        zenoh.ZError: if no session opens.
+        EgpError: as `check_process`.
+
+    """
+    check_process()
+    _Zenoh.runs = True
+    return zenoh.open(config)
+
+
 def open_session(config: zenoh.Config, patience: float) -> zenoh.Session:
     """Open a session.
 
@@ -121,6 +167,7 @@ def open_session(config: zenoh.Config, patience: float) -> zenoh.Session:
 
     Raises:
         zenoh.ZError: if no session opens.
+        EgpError: as `check_process`.
 
     """
     stated = json.loads(config.get_json(_OPEN_TIMEOUT))
@@ -132,7 +179,7 @@ def open_session(config: zenoh.Config, patience: float) -> zenoh.Session:
     late = time.monotonic() + patience
     while True:
         try:
-            return zenoh.open(config)
+            return start_session(config)
         except zenoh.ZError:
             if not client or time.monotonic() > late:
                 raise
@@ -140,26 +187,16 @@ def open_session(config: zenoh.Config, patience: float) -> zenoh.Session:
 
 
 def close_session(session: zenoh.Session) -> None:
-    """Close a session, for which zenoh waits for up to 10 s if a link has been cut."""
+    """Close a session, for which zenoh waits for up to 10 s if a link has been cut.
+
+    In a process in which zenoh is lost, nothing is done: the session is that of another process.
+    """
+    if is_lost():
+        return
     # zenoh's error says that a link was not closed in time. The link then ends with its lease, and
     # the error must not replace the result of what the session was used for.
     with contextlib.suppress(zenoh.ZError):
         session.close()  # type: ignore[no-untyped-call]
-
-
-def is_forked(process: int) -> bool:
-    """Whether this process is another one than `process`, in which a session was opened.
-
-    The threads of zenoh do not exist in a forked process, so that each of its functions would wait
-    without an end there.
-    """
-    return os.getpid() != process
-
-
-FORKED: Final = (
-    "this process was forked from the one that connected, and zenoh does not work in it: start "
-    'processes with multiprocessing.get_context("spawn"), and connect in each of them'
-)
 
 
 def zenoh_reason(error: Exception) -> str:

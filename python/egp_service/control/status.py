@@ -23,8 +23,10 @@ from egp_service.control.endpoints import (
 )
 from egp_service.control.messages import message_class
 from egp_service.control.session import (
+    check_process,
     close_session,
     direct,
+    is_lost,
     open_session,
     session_config,
     zenoh_reason,
@@ -139,10 +141,12 @@ class StatusPublisher:
 
         Raises:
             InvalidArgumentError: unless `x` has the shape (7,).
-            EgpError: if the publisher is closed.
+            EgpError: if the publisher is closed, and in a process that was forked from one in which
+                zenoh ran.
 
         """
         state = measured_state(x)
+        check_process()
         if self._session.is_closed():
             raise EgpError("the publisher was closed")
         missed = step.mode != "normal" or step.status == "late"
@@ -186,7 +190,7 @@ class StatusPublisher:
 
     def close(self) -> None:
         """Publish that the vehicle ends its publication, and close the session."""
-        if self._last is not None and not self._session.is_closed():
+        if self._last is not None and not is_lost() and not self._session.is_closed():
             last = message_class("VehicleStatus")()
             last.CopyFrom(self._last)
             last.ClearField("times")

@@ -19,6 +19,7 @@ import numpy as np
 import polars as pl
 
 from egp_service._core import GRAVITY, MIN_SLIP_SPEED, EgpError
+from egp_service.data.provenance import Provenance
 from egp_service.files import read_bytes, replacing
 from egp_service.quantities import GP_INPUT, GP_OUTPUT, NY, NZ, TILT
 
@@ -31,10 +32,8 @@ if TYPE_CHECKING:
 
 SCHEMA: Final = 1
 METADATA_KEY: Final = "egp"
-_PERIODS: Final = (1e-3, 1.0)  # s, the shortest and the longest that a library may have
 LEAST_SPEED: Final = 5.0
 """`least_speed` of a vehicle of full size, m/s."""
-_LONGEST_LABEL: Final = 64  # characters of a surface's name
 _INDEX: Final = ("trajectory", "step")
 # By the annotation of a field of `Provenance`: types in JSON, and how they are called.
 _TYPES: Final = {
@@ -43,61 +42,6 @@ _TYPES: Final = {
     "str": ((str,), "a text"),
     "bool": ((bool,), "true or false"),
 }
-
-
-def _check_label(surface: str) -> None:
-    """Check the name of a surface, which is also the label of a member of a library."""
-    if not surface:
-        raise EgpError("the surface label is empty: name the surface, for example 'wet'")
-    if len(surface) > _LONGEST_LABEL:
-        raise EgpError(
-            f"the surface label {surface[:_LONGEST_LABEL]!r}… has {len(surface)} characters: "
-            f"expected at most {_LONGEST_LABEL}"
-        )
-    if not surface.isprintable():
-        raise EgpError(
-            f"the surface label {surface!r} has a control character or one that is not UTF-8: "
-            "expected one line of text, for example 'wet'"
-        )
-
-
-@dataclasses.dataclass(frozen=True)
-class Provenance:
-    """Origin of a dataset, stored as JSON in the Parquet key-value metadata.
-
-    `friction` is the surface's nominal coefficient. It labels the member; training does not use it.
-    `force_from_a_x` says that `F_x` is an assumed mass times an acceleration of a log, so that the
-    data do not tell the mass; files of older versions do not state it.
-    """
-
-    dt: float
-    vehicle: str
-    surface: str
-    friction: float
-    seed: int
-    method: str
-    tool: str
-    force_from_a_x: bool = False
-
-    def __post_init__(self) -> None:
-        """Check the ranges of the values."""
-        if not (_PERIODS[0] <= self.dt <= _PERIODS[1]):
-            raise EgpError(f"dt is {self.dt} s: expected a period of 0.001 to 1 s")
-        if not (0.0 < self.friction <= 3.0):  # noqa: PLR2004 - as for surfaces
-            raise EgpError(
-                f"friction is {self.friction}: expected a coefficient above 0 and at most 3"
-            )
-        for name in ("vehicle", "surface", "method", "tool"):
-            if not isinstance(value := getattr(self, name), str):
-                raise EgpError(f"{name} is {value!r}: expected a text")
-        _check_label(self.surface)
-
-    def metadata(self) -> dict[str, Any]:
-        """Return the fields for a file; `force_from_a_x` only if true, for older versions."""
-        fields = dataclasses.asdict(self)
-        if not self.force_from_a_x:
-            del fields["force_from_a_x"]
-        return fields
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

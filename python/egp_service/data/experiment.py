@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from egp_service._core import GRAVITY, EgpError, Plant, VehicleParameters, surface_friction
-from egp_service.data.dataset import Provenance
+from egp_service.data.provenance import Provenance
 from egp_service.vehicle import simulated_name
 
 if TYPE_CHECKING:

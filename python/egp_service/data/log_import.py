@@ -11,7 +11,7 @@ import numpy as np
 
 from egp_service._core import STANDARD_GRAVITY, EgpError
 from egp_service.data import motion_limits, plausibility
-from egp_service.data.dataset import Dataset, Provenance
+from egp_service.data.dataset import Dataset
 from egp_service.data.messages import check_folder, is_recording
 from egp_service.data.recording import read_recording, topics
 from egp_service.data.table import comes_twice, numbers, read_table, some
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
     import polars as pl
     from numpy.typing import NDArray
+
+    from egp_service.data.provenance import Provenance
 
 # unit: (SI unit, factor)
 UNITS: Final = {

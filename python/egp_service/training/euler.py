@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from egp_service._core import FULL_SIZE, GRAVITY, MIN_SLIP_SPEED
+from egp_service._core import GRAVITY, slip_speed
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -26,15 +26,14 @@ def euler_steps(parameters: NDArray[np.float64], dt: float) -> int:
     """Return the number of explicit Euler steps with which a vehicle is stable over `dt` s.
 
     The parameters are (17,) or (19,). The lateral motion is fastest at the lowest speed of slip
-    angles (`VehicleParameters.slip_speed`): straight on, with the cornering stiffnesses `c_f` and
-    `c_r` over the mass, it is
-    `d[v_y, omega]/dt = A [v_y, omega]` (Rajamani, *Vehicle Dynamics and Control*, section 2.3).
-    A step times the largest eigenvalue of `A` is at most 1.8. The simulated car needs a second step
+    angles (`slip_speed`): straight on, with the cornering stiffnesses `c_f` and `c_r` over the
+    mass, it is `d[v_y, omega]/dt = A [v_y, omega]` (Rajamani, *Vehicle Dynamics and Control*,
+    section 2.3). A step times the largest eigenvalue of `A` is at most 1.8. The simulated car needs a second step
     from 22 ms on. Eigenvalues above 500/s, which no car has, count as 500/s, and there are at most
     100 steps, so that a vehicle fitted to noise may be unstable.
     """
     _, l_f, l_r, gyration, *rest = parameters
-    tyres, v = rest[3:], MIN_SLIP_SPEED * math.sqrt(min(1.0, (l_f + l_r) / FULL_SIZE))
+    tyres, v = rest[3:], slip_speed(l_f + l_r)
     c_f = GRAVITY * l_r / (l_f + l_r) * float(np.prod(tyres[2:5]))
     c_r = GRAVITY * l_f / (l_f + l_r) * float(np.prod(tyres[7:10]))
     turning = (l_f * c_f - l_r * c_r) / v

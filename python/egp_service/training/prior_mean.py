@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 
 
 class Parameter(NamedTuple):
-    """What is known about a parameter of any vehicle: small cars to vans, tyres from ice to racing.
+    """What is known about a parameter: a log-normal prior, and the range that a fit searches.
 
-    `start` and `width` (standard deviation of the logarithm) are the prior without other knowledge,
-    `low` and `high` the range that a fit searches.
+    `width` is the standard deviation of the logarithm. The values of this module are those of any
+    vehicle: small cars to vans, tyres from ice to racing.
     """
 
-    start: float
+    centre: float
     width: float
     low: float
     high: float
@@ -98,7 +98,7 @@ def _euler_step(z: torch.Tensor, parameters: torch.Tensor, dt: float) -> torch.T
     a = force / mass
     driven = force > 0.0
     a_x = a / (1.0 + (a / (GRAVITY * torch.where(driven, drive, brake))) ** 4) ** 0.25
-    # `VehicleParameters.slip_speed` of the fitted axles
+    # As the function `slip_speed` of the extension, with a derivative.
     slowest = MIN_SLIP_SPEED * torch.sqrt(((l_f + l_r) / FULL_SIZE).clamp(max=1.0))
     v = torch.maximum(v_x, slowest)
 

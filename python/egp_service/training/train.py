@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from egp_service._core import VehicleParameters
-    from egp_service.data.dataset import Provenance
+    from egp_service.data.provenance import Provenance
     from egp_service.training.trained import TrainedMember
     from egp_service.training.vehicle_fit import FittedVehicle
 

@@ -26,8 +26,16 @@ from egp_service.quantities import NORMAL_95, NY
 from egp_service.training.autocorrelation import autocorrelation
 from egp_service.training.euler import euler_steps
 from egp_service.training.normal_equations import NormalEquationProblem
-from egp_service.training.prior_mean import BODY, DRAG, PARAMETERS, ROLLING, TYRES, change
-from egp_service.training.vehicle_priors import KNOWN_WIDTHS, Prior, priors
+from egp_service.training.prior_mean import (
+    BODY,
+    DRAG,
+    PARAMETERS,
+    ROLLING,
+    TYRES,
+    Parameter,
+    change,
+)
+from egp_service.training.vehicle_priors import KNOWN_WIDTHS, priors
 from egp_service.vehicle import simulated_vehicle
 
 if TYPE_CHECKING:
@@ -223,7 +231,7 @@ class _Problem:
     """
 
     def __init__(
-        self, surfaces: Sequence[_Surface], prior: dict[str, Prior], *, slowed: bool
+        self, surfaces: Sequence[_Surface], prior: dict[str, Parameter], *, slowed: bool
     ) -> None:
         self.surfaces = surfaces
         self.steps = 1

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import TYPE_CHECKING, Final
 
 from egp_service._core import FULL_SIZE
-from egp_service.training.prior_mean import PARAMETERS
+from egp_service.training.prior_mean import PARAMETERS, Parameter
 
 if TYPE_CHECKING:
     from egp_service._core import VehicleParameters
@@ -17,41 +16,30 @@ KNOWN_WIDTHS: Final = {"m": 0.03, "l_f": 0.02, "l_r": 0.02, "k²": 0.15}
 _FACTOR: Final = 4.0
 
 
-@dataclasses.dataclass(frozen=True)
-class Prior:
-    """Log-normal prior of a parameter; `width` is the standard deviation of the logarithm."""
-
-    centre: float
-    width: float
-    low: float
-    """Ends of the range that a fit searches."""
-    high: float
-
-
-def priors(vehicle: VehicleParameters | None) -> dict[str, Prior]:
+def priors(vehicle: VehicleParameters | None) -> dict[str, Parameter]:
     """Return the prior of each parameter, given the parameters of the vehicle or none.
 
     The ranges are those of cars and vans, unless the parameters of the vehicle are outside: a model
     car, a kart or a lorry has a quarter to four times its own, and a centre of mass as high as that
     of a car in proportion to the distance of the axles.
     """
-    general = {name: Prior(p.start, p.width, p.low, p.high) for name, p in PARAMETERS.items()}
     if vehicle is None:
-        return general
+        return PARAMETERS
     known = {
         "m": vehicle.mass,
         "l_f": vehicle.l_f,
         "l_r": vehicle.l_r,
         "k²": vehicle.yaw_inertia / vehicle.mass,
     }
-    usual = all(general[name].low < value < general[name].high for name, value in known.items())
-    body = {}
-    for name, value in known.items():
-        low, high = general[name].low, general[name].high
-        if not usual:
-            low, high = value / _FACTOR, value * _FACTOR
-        body[name] = Prior(value, KNOWN_WIDTHS[name], low, high)
-    if not usual:
-        h, size = general["h"], (vehicle.l_f + vehicle.l_r) / FULL_SIZE
-        body["h"] = Prior(size * h.centre, h.width, size * h.low, size * h.high)
-    return general | body
+    body = {
+        name: PARAMETERS[name]._replace(centre=value, width=KNOWN_WIDTHS[name])
+        for name, value in known.items()
+    }
+    if not all(low < value < high for value, _, low, high in body.values()):
+        body = {
+            name: own._replace(low=own.centre / _FACTOR, high=own.centre * _FACTOR)
+            for name, own in body.items()
+        }
+        h, size = PARAMETERS["h"], (vehicle.l_f + vehicle.l_r) / FULL_SIZE
+        body["h"] = Parameter(size * h.centre, h.width, size * h.low, size * h.high)
+    return PARAMETERS | body

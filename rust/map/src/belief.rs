@@ -161,9 +161,9 @@ impl RoadBelief {
     /// start of this third to the vehicle: otherwise a surface that has just begun would be believed only after most of the
     /// window lies on it.
     ///
-    /// Logarithms of likelihoods that are smaller than the likeliest hypothesis's by at most `INDIFFERENCE` count as equal to it, and
-    /// the others are raised by as much. Where no grip is used, the models of all coefficients predict nearly the same, and
-    /// the small differences of their likelihoods are errors of the models. They do not become smaller with the number of
+    /// Logarithms of likelihoods that are smaller than the likeliest hypothesis's by at most `INDIFFERENCE` count as equal to
+    /// it, and the others are raised by as much. Where no grip is used, the models of all coefficients predict nearly the
+    /// same, and the small differences of their likelihoods are errors of the models. They do not become smaller with the number of
     /// windows, and would add up. Only ratios count: what is added to all logarithms changes nothing.
     ///
     /// # Errors

@@ -6,8 +6,8 @@ use crate::belief_error::{BeliefError, place, stretch};
 
 impl RoadBelief {
     /// Writes rows of the friction coefficient's median and standard deviation: first the mean over the places that the
-    /// vehicle passed in the window, of which the present one counts twice, then one row for each of `places`, whose arc lengths do not decrease. These are the
-    /// rows of the `road_friction` of a control step, and `out` has one more of them than there are places.
+    /// vehicle passed in the window, of which the present one counts twice, then one row for each of `places`, whose arc
+    /// lengths do not decrease. These are the rows of the `road_friction` of a control step, and `out` has one more of them than there are places.
     ///
     /// In contrast to [`Self::ahead`], patches are not considered.
     ///

@@ -169,7 +169,7 @@ mod _core {
         #[pymodule_export]
         const STANDARD_GRAVITY: f64 = egp_parameters::STANDARD_GRAVITY;
         #[pymodule_export]
-        use crate::parameters::VehicleParameters;
+        use crate::parameters::{VehicleParameters, slip_speed};
     }
 
     #[pymodule]

@@ -89,3 +89,9 @@ methods! {
     mass yaw_inertia l_f l_r width a_min a_max power a_slew steering_angle steering_rate steering_slew
     peak_slip lateral_grip braking_grip driving_grip
 }
+
+#[doc = doc!(slip_speed)]
+#[pyfunction]
+pub fn slip_speed(wheelbase: f64) -> f64 {
+    egp_parameters::slip_speed(wheelbase)
+}

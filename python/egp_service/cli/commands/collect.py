@@ -11,8 +11,9 @@ from rich.console import Console
 from egp_service.cli.options import Cluster, Jobs, check_outputs, check_unused, check_writable
 
 if TYPE_CHECKING:
-    from egp_service.data.dataset import Dataset, Provenance
+    from egp_service.data.dataset import Dataset
     from egp_service.data.log_import import Column
+    from egp_service.data.provenance import Provenance
 
 Value = TypeVar("Value")
 
@@ -128,8 +129,8 @@ def collect(
     from egp_service.cli.progress import collecting
     from egp_service.data.collect import CollectionSettings
     from egp_service.data.collect import collect as collect_dataset
-    from egp_service.data.dataset import Provenance
     from egp_service.data.experiment import Experiment, parse_surface, tool
+    from egp_service.data.provenance import Provenance
 
     console = Console(markup=False)
     if not dt > 0.0:

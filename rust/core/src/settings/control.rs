@@ -288,8 +288,9 @@ impl InputBounds {
     }
 }
 
-/// Distance kept between the vehicle's side and the track edge by default, m, and at most this share of the vehicle's width.
+/// Distance kept between the vehicle's side and the track edge by default, m.
 const EDGE_CLEARANCE: f64 = 0.263;
+/// Largest value of that distance as a share of the vehicle's width.
 const EDGE_SHARE: f64 = 0.25;
 
 impl Soft {

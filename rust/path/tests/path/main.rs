@@ -2,6 +2,7 @@
 
 mod formats;
 mod horizon;
+mod parts;
 mod path;
 mod planner;
 mod speed;
