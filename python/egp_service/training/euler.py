@@ -28,9 +28,9 @@ def euler_steps(parameters: NDArray[np.float64], dt: float) -> int:
     The parameters are (17,) or (19,). The lateral motion is fastest at the lowest speed of slip
     angles (`slip_speed`): straight on, with the cornering stiffnesses `c_f` and `c_r` over the
     mass, it is `d[v_y, omega]/dt = A [v_y, omega]` (Rajamani, *Vehicle Dynamics and Control*,
-    section 2.3). A step times the largest eigenvalue of `A` is at most 1.8. The simulated car needs a second step
-    from 22 ms on. Eigenvalues above 500/s, which no car has, count as 500/s, and there are at most
-    100 steps, so that a vehicle fitted to noise may be unstable.
+    section 2.3). A step times the largest eigenvalue of `A` is at most 1.8. The simulated car needs
+    a second step from 22 ms on. Eigenvalues above 500/s, which no car has, count as 500/s, and
+    there are at most 100 steps, so that a vehicle fitted to noise may be unstable.
     """
     _, l_f, l_r, gyration, *rest = parameters
     tyres, v = rest[3:], slip_speed(l_f + l_r)
