@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, ParamSpec, TypeVar
 from loky import ProcessPoolExecutor
 from loky.process_executor import TerminatedWorkerError
 
-from egp_service._core import EgpError
+from egp_service._core import EgpError, available_cores
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -34,10 +34,13 @@ class WorkerError(EgpError):
 
 @contextmanager
 def workers(jobs: int | None = None, cluster: str | None = None) -> Iterator[Executor]:
-    """Open a pool of `jobs` processes, one per core by default, or one on a cluster.
+    """Open a pool of `jobs` processes, or one on a cluster.
+
+    By default there is a process for each core that this process may use.
 
     `cluster` is the address `HOST:PORT` of a Ray cluster to which this machine belongs. Its
-    machines need this version of the package, and the files that the work reads, at the same paths.
+    machines need this version of the package, and the files that the work reads, at the same paths,
+    which must be absolute.
 
     An exception inside, such as that of Ctrl-C, ends the processes and their work immediately. If
     this process is killed, they end, too.
@@ -51,13 +54,19 @@ def workers(jobs: int | None = None, cluster: str | None = None) -> Iterator[Exe
         if jobs is not None:
             raise EgpError("a cluster runs as many processes as it has cores: leave out --jobs")
         with _Cluster(cluster) as pool:
-            yield pool
+            try:
+                yield pool
+            except pool.lost as error:
+                raise WorkerError(
+                    "a process of the cluster was ended, perhaps for lack of memory, or because "
+                    "its machine was lost: see `ray status`, and run the command again"
+                ) from error
         return
     # Where psutil is installed, loky replaces a process that has grown by 300 MB, and warns that it
     # did. A process that has trained has grown by more, and the results stay the same.
     warnings.filterwarnings("ignore", message="A worker", category=UserWarning, module="loky")
     with ProcessPoolExecutor(
-        jobs or os.cpu_count(), initializer=_begin, initargs=(os.getpid(),)
+        jobs or available_cores(), initializer=_begin, initargs=(os.getpid(),)
     ) as pool:
         try:
             with _interruptions_deferred():
@@ -138,6 +147,13 @@ class _Cluster(Executor):
                 f"no Ray cluster at {address!r} ({error}): give the HOST:PORT that "
                 "`ray start --head` printed, or leave out --cluster to work on this machine alone"
             ) from error
+        self.lost = (
+            ray.exceptions.WorkerCrashedError,
+            ray.exceptions.OutOfMemoryError,
+            ray.exceptions.NodeDiedError,
+            ray.exceptions.ObjectLostError,
+        )
+        """Errors of work whose process or machine was lost."""
         self._disconnect = ray.shutdown
         self._call = ray.remote(_call)
 

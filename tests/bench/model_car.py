@@ -1,23 +1,30 @@
-"""A car of 1:10 from its logs to laps: how closely it drives, with the costs of docs/tuning.md.
+"""A car of 1:10 from its logs to laps: how closely and how fast it drives (docs/tuning.md).
 
 A single-track car of 3.74 kg, other than the models of this package, is driven by pure pursuit over
-three surfaces; `egp collect` and `egp train` make a library of these logs, and a `Controller`
-drives laps of 38 m with bends of 1.1 m over friction 1.0, 0.6 and 0.35, with noisy measurements.
+three surfaces; `egp collect` and `egp train` make a library of these logs. Laps of 38 m with bends
+of 1.1 m over friction 1.0, 0.6 and 0.35 then have noisy measurements: first with a speed that is
+planned for the true friction, with two sets of costs, and then with one that is planned for what is
+known of the road, with lengths of the belief of this car and of a full-size one.
 
-    python tests/bench/model_car.py          # two minutes
+    python tests/bench/model_car.py          # three minutes
 """
 
 from __future__ import annotations
 
 import subprocess
+from dataclasses import replace
 from pathlib import Path as File
 from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
 
-from egp_service import Controller, Path, SpeedProfile, VehicleParameters, horizon_reference
+from egp_service import Controller, Path, RoadBelief, VehicleParameters
 from egp_service.control.toml_text import dumps
+from egp_service.simulation.closed_loop import Run, drive
+from egp_service.simulation.course import build_path
+from egp_service.simulation.reference import new_belief
+from egp_service.simulation.scenario import Measurement, Scenario, Speed, Track, Zone
 
 Array = NDArray[np.float64]
 
@@ -47,28 +54,32 @@ HALF_WIDTH = 0.9
 DT = 0.02
 UNITS = ("s", "m/s", "m/s", "rad/s", "rad", "m/s2")
 COLUMNS = dict(zip(("time", "v_x", "v_y", "omega", "delta", "a_x"), UNITS, strict=True))
-# Standard deviations of [p_x, p_y, v_x, psi, v_y, omega, delta].
-NOISE = np.array([0.005, 0.005, 0.02, 0.005, 0.015, 0.03, 0.002])
-STEERING: dict[str, object] = {"input": [0.05, 0.05], "rate": [0.05, 0.2]}
-COSTS: dict[str, dict[str, object]] = {
-    "defaults": {},
-    "steering": STEERING,
-    "steering, `lateral = 600`": {**STEERING, "lateral": 600.0},
+NOISE = Measurement(position=0.005, v_x=0.02, psi=0.005, v_y=0.015, omega=0.03, delta=0.002)
+FULL_SIZE: dict[str, object] = {
+    "longitudinal": 10.0,
+    "lateral": 60.0,
+    "v_x": 2.0,
+    "input": [0.05, 2.0],
+    "rate": [0.05, 10.0],
 }
+COSTS: dict[str, dict[str, object]] = {"of a full-size car": FULL_SIZE, "defaults": {}}
+SEEDS, LAPS = range(5), 4
 
 
 class Car:
-    """The state `[p_x, p_y, v_x, psi, v_y, omega, delta]` of a car with four driven wheels."""
+    """A car with four driven wheels (`egp_service.simulation.plant.Simulator`)."""
 
-    def __init__(self, state: Array) -> None:
-        """Start at a state (7,)."""
-        self.state = state.copy()
+    state: Array
 
-    def step(self, u: Array, mu: float) -> None:
-        """Drive one period with force (N) and steering rate (rad/s), in steps of 1 ms."""
-        for _ in range(round(DT / 1e-3)):
-            middle = self.state + 0.5e-3 * self._rate(self.state, u, mu)
-            self.state = self.state + 1e-3 * self._rate(middle, u, mu)
+    def reset(self, x: Array) -> None:
+        """Put the car into the state `x` (7,)."""
+        self.state = x.copy()
+
+    def step(self, u: Array, dt: float, friction: float) -> None:
+        """Drive `dt` seconds with force (N) and steering rate (rad/s), in steps of 1 ms."""
+        for _ in range(round(dt / 1e-3)):
+            middle = self.state + 0.5e-3 * self._rate(self.state, u, friction)
+            self.state = self.state + 1e-3 * self._rate(middle, u, friction)
 
     @staticmethod
     def _rate(x: Array, u: Array, mu: float) -> Array:
@@ -130,7 +141,9 @@ def record(path: Path, mu: float, file: File, seconds: float, seed: int) -> None
     """Write a log of pure pursuit with rising speed and rough inputs; columns t, states, a_x."""
     rng = np.random.default_rng(seed)
     x, y, yaw, *_ = (float(column[0]) for column in path.sample(np.zeros(1)))
-    car, s, rows = Car(np.array([x, y, 1.0, yaw, 0.0, 0.0, 0.0])), 0.0, []
+    car, s, rows = Car(), 0.0, []
+    car.reset(np.array([x, y, 1.0, yaw, 0.0, 0.0, 0.0]))
+    noise = np.array([NOISE.v_x, NOISE.v_y, NOISE.omega, NOISE.delta])
     rough_steering = rough_drive = late = 0.0
     count = int(seconds / DT)
     for k in range(count):
@@ -138,7 +151,8 @@ def record(path: Path, mu: float, file: File, seconds: float, seed: int) -> None
         s, v_x = found.s, car.state[2]
         if abs(found.lateral) > HALF_WIDTH or v_x < 0.0 or abs(car.state[4]) > 4.0:
             x, y, yaw, *_ = (float(column[0]) for column in path.sample(np.array([s])))
-            car, late = Car(np.array([x, y, 1.0, yaw, 0.0, 0.0, 0.0])), late + 1.0
+            car.reset(np.array([x, y, 1.0, yaw, 0.0, 0.0, 0.0]))
+            late += 1.0
             continue
         look = max(0.5, 0.35 * v_x)
         t_x, t_y, *_ = (float(column[0]) for column in path.sample(np.array([s + look])))
@@ -151,16 +165,15 @@ def record(path: Path, mu: float, file: File, seconds: float, seed: int) -> None
         angle = float(np.clip(angle + rough_steering, -CAR.steering_angle, CAR.steering_angle))
         rate = np.clip((angle - car.state[6]) / 0.08, -CAR.steering_rate, CAR.steering_rate)
         a = np.clip(4.0 * (wanted - v_x) + rough_drive, -9.0 * mu, min(CAR.a_max, 8.8 * mu))
-        measured = (car.state + NOISE * rng.standard_normal(7))[[2, 4, 5, 6]]
+        measured = car.state[[2, 4, 5, 6]] + noise * rng.standard_normal(4)
         rows.append([k * DT + late, *measured, a])
-        car.step(np.array([CAR.mass * a, rate]), mu)
+        car.step(np.array([CAR.mass * a, rate]), DT, mu)
     np.savetxt(file, rows, "%.6g", ",", header=",".join(COLUMNS), comments="")
 
 
-def library(folder: File, path: Path) -> File:
+def library(folder: File, path: Path, vehicle: File) -> File:
     """Make a library of a log of 90 s on each surface, as a user does."""
-    vehicle, data = folder / "car.toml", []
-    vehicle.write_text(dumps(CAR.fields()), encoding="utf-8")
+    data = []
     for seed, (surface, mu) in enumerate(SURFACES.items()):
         log, dataset = folder / f"{surface}.csv", folder / f"{surface}.parquet"
         record(path, mu, log, 90.0, seed)
@@ -175,42 +188,65 @@ def library(folder: File, path: Path) -> File:
     return made
 
 
-def lap(path: Path, made: File, cost: dict[str, object], seed: int) -> tuple[float, Array]:
-    """Drive a lap at 85 % of the grip; return its time in s and the lateral errors in m."""
-    profile = SpeedProfile(path, CAR, grip=0.85, v_max=6.0)
-    rng = np.random.default_rng(seed)
-    x, y, yaw, *_ = (float(column[0]) for column in path.sample(np.zeros(1)))
-    v = float(profile.speed(np.zeros(1))[0])
-    lateral: list[float] = []
-    car, s, driven = Car(np.array([x, y, v, yaw, 0.0, 0.0, 0.0])), 0.0, 0.0
-    with Controller(made, {"cost": cost}, gate=CAR.gate_limits()) as controller:
-        while driven < path.length and len(lateral) < 3000:
-            measured = car.state + NOISE * rng.standard_normal(7)
-            reference, widths, _ = horizon_reference(
-                path, profile, measured, controller.dt, controller.horizon, s
-            )
-            found = path.project(car.state[:2], s)
-            driven += (found.s - s + 0.5 * path.length) % path.length - 0.5 * path.length
-            s = found.s
-            lateral.append(found.lateral)
-            step = controller.step(measured, reference, widths)
-            car.step(step.u, float(path.sample(np.array([s]))[-1][0]))
-    return DT * len(lateral), np.array(lateral)
+def scenario(folder: File, path: Path) -> Scenario:
+    """Make the library, and a scenario of a lap with it at 85 % of the grip."""
+    vehicle, track = folder / "car.toml", folder / "track.csv"
+    vehicle.write_text(dumps(CAR.fields()), encoding="utf-8")
+    x, y, *_ = path.sample(np.arange(0.0, path.length - 0.05, 0.1))
+    rows = np.column_stack([x, y, np.full((len(x), 2), HALF_WIDTH)])
+    np.savetxt(track, rows, "%.6f", ",", header="x_m,y_m,w_tr_right_m,w_tr_left_m")
+    return Scenario(
+        "model-car",
+        Track("csv", file=str(track)),
+        tuple(Zone(s, mu) for s, mu in ZONES),
+        zones_in_metres=True,
+        library=str(library(folder, path, vehicle)),
+        plant="model_car:Car",
+        vehicle_file=str(vehicle),
+        speed=Speed(grip=0.85, v_max=6.0, knows="zones"),
+        measurement=NOISE,
+    )
+
+
+def run(lap: Scenario, belief: RoadBelief | None = None) -> Run:
+    """Drive a lap."""
+    with Controller(lap.library, lap.control, gate=CAR.gate_limits()) as controller:
+        return drive(lap, controller, lambda _: None, belief)
+
+
+def medians(runs: list[Run]) -> str:
+    """Give the medians of lap time and of the largest and RMS lateral error."""
+    lateral = [run.trace.lateral_error for run in runs]
+    time = np.median([run.summary.periods * run.dt for run in runs])
+    most = np.median([np.abs(row).max() for row in lateral])
+    rms = np.median([np.sqrt(np.mean(row**2)) for row in lateral])
+    completed = sum(run.summary.ending.completed for run in runs)
+    return f"{completed} of {len(runs)} | {time:.2f} s | {most:.3f} m | {rms:.3f} m |"
 
 
 def main() -> None:
     """Record, train, drive and print."""
     path = track()
-    zoned = path.with_friction([(s / path.length, mu) for s, mu in ZONES])
     with TemporaryDirectory() as folder:
-        made = library(File(folder), path)
-        print("| `cost` | lap | beside the path, max | RMS |\n|---|---|---|---|")
+        known = scenario(File(folder), path)
+        print("| `cost` | completed | lap | beside the path, max | RMS |\n|---|---|---|---|---|")
         for name, cost in COSTS.items():
-            laps = [lap(zoned, made, cost, seed) for seed in range(5)]
-            time = np.median([time for time, _ in laps])
-            most = np.median([np.abs(lateral).max() for _, lateral in laps])
-            rms = np.median([np.sqrt(np.mean(lateral**2)) for _, lateral in laps])
-            print(f"| {name} | {time:.2f} s | {most:.3f} m | {rms:.3f} m |", flush=True)
+            control: dict[str, object] = {"cost": cost}
+            runs = [run(replace(known, control=control, seed=seed)) for seed in SEEDS]
+            print(f"| {name} | {medians(runs)}", flush=True)
+        unknown = replace(known, speed=replace(known.speed, knows="nothing"))
+        print("\n| belief | lap | completed | time | beside, max | RMS |\n|---" + 5 * "|---" + "|")
+        for name, scale in (
+            ("of a full-size car", 1.0),
+            ("defaults", new_belief(known, path).scale),
+        ):
+            beliefs = [RoadBelief(build_path(unknown), scale=scale) for _ in SEEDS]
+            for lap in range(LAPS):
+                runs = []
+                for seed, belief in zip(SEEDS, beliefs, strict=True):
+                    runs.append(run(replace(unknown, seed=100 * lap + seed), belief))
+                    belief.leave()
+                print(f"| {name} | {lap + 1} | {medians(runs)}", flush=True)
 
 
 if __name__ == "__main__":

@@ -32,7 +32,12 @@ from egp_service.simulation.in_process import in_process_controller
 from egp_service.simulation.plant import PlantError, load_simulator
 from egp_service.simulation.report import draw_comparison, draw_run
 from egp_service.simulation.runs import record_run
-from egp_service.simulation.scenario import Scenario, load_scenario, parse_scenario
+from egp_service.simulation.scenario import (
+    Disturbances,
+    Scenario,
+    load_scenario,
+    parse_scenario,
+)
 from egp_service.simulation.scenario_checks import ScenarioError
 from fewer_contenders import with_contenders
 
@@ -147,6 +152,17 @@ def test_the_documents_simulator_is_driven(folder: Path) -> None:
     summary = (run / "summary.json").read_text()
     # Measured on the whole lap: 0.009 m, with a library that was trained on the built-in car.
     assert float(re.findall(r'"lateral_error": {\s+"max": ([\d.]+)', summary)[0]) < 0.05
+
+
+def test_a_disturbance_that_a_simulator_does_not_see_is_an_error_before_the_run(
+    folder: Path,
+) -> None:
+    loaded = replace(scenario(), disturbances=Disturbances(load=100.0), library=str(DEMO_LIBRARY))
+    (folder / "loaded.toml").write_text(loaded.toml())
+    command = ["drive", "-s", "loaded.toml", "--in-process", "-o", "runs"]
+    failed = CliRunner().invoke(app, [*command, "--plant", "broken_car:Slots"]).exception
+    assert str(failed) == "loaded.toml: disturbances have no effect on plant 'broken_car:Slots'"
+    assert not (folder / "runs").exists()
 
 
 def test_what_is_wrong_with_a_simulator_is_named(folder: Path) -> None:

@@ -32,6 +32,9 @@ from egp_service._core import (
     surface_friction,
 )
 from egp_service.shipped import DEMO_LIBRARY
+from egp_service.simulation.configuration import ConfigurationError
+from egp_service.simulation.scenario import parse_scenario
+from egp_service.simulation.scenario_checks import ScenarioError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -50,6 +53,15 @@ def belief() -> RoadBelief:
 
 def planner() -> SpeedPlanner:
     return SpeedPlanner(PATH, CAR)
+
+
+def test_zones_that_cannot_be_read_name_their_file(tmp_path: FilePath) -> None:
+    file, text = tmp_path / "zones.csv", 'name = "own"\nzones_file = "zones.csv"\n'
+    with pytest.raises(ScenarioError, match=f"zones_file {file}: No such file or directory; state"):
+        parse_scenario(text, tmp_path, "own.toml")
+    file.write_text("start,friction,friction\n0,0.9,0.2\n", encoding="utf-8")
+    with pytest.raises(ConfigurationError, match=f"{file}: column 'friction' comes twice"):
+        parse_scenario(text, tmp_path, "own.toml")
 
 
 @pytest.mark.parametrize(

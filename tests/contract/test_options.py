@@ -33,6 +33,7 @@ NOBODY = "tcp/127.0.0.1:9"
         ("train data.parquet -o .", ". is a folder: name a file in it"),
         ("train a.parquet -o l --validation 1.5", "--validation is 1.5: expected a share between"),
         ("train a -o l --mean constant --restarts -1", "--restarts is -1: expected 0 or more"),
+        ("train a -o l --max-points 151", "max_points is 151: expected at most 150 with the mean"),
         ("drive --in-process --connect tcp/127.0.0.1:9", "--in-process excludes --connect"),
         ("drive --in-process --zenoh z.json5", "--zenoh has no use with --in-process unless"),
         (
@@ -66,6 +67,35 @@ def test_a_terminal_shows_that_a_command_loads(
     assert isinstance(shown.exception, EgpError | OSError)
     assert "Loading ..." in shown.output
     assert not RUNNER.invoke(app, command.split()).output
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ("", True),
+        ("[measurement]\nv_x = 0.1\n", False),
+        ('[track]\nkind = "random"\n', False),
+        ('[track]\nkind = "random"\nparameters = {seed = 3}\n', True),
+    ],
+)
+def test_a_seed_that_changes_nothing_is_told(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    changes: str,
+    told: bool,  # noqa: FBT001 - a parameter
+) -> None:
+    def stopped(*_: object) -> None:
+        raise EgpError("before the drive")
+
+    monkeypatch.setattr("egp_service.simulation.reference.load_belief", stopped)
+    own, track = tmp_path / "own.toml", "" if "[track]" in changes else '[track]\nkind = "circle"\n'
+    zones = "zones = [{start = 0.0, friction = 1.0}]\n"
+    own.write_text(f'name = "own"\n{zones}{track}{changes}')
+    command = ["drive", "-s", str(own), "--in-process"]
+    shown = RUNNER.invoke(app, [*command, "--seed", "7"])
+    assert str(shown.exception) == "before the drive"
+    assert ("--seed has no effect: own has neither" in shown.output) == told
+    assert "--seed" not in RUNNER.invoke(app, command).output
 
 
 def test_a_drive_in_this_process_publishes_by_a_configuration_of_zenoh(

@@ -5,13 +5,16 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from egp_service import EgpError
 from egp_service._core import write_library_subset
+from egp_service.cli import app
 from egp_service.evaluation import html
 from egp_service.evaluation.batch import finish
 from egp_service.evaluation.campaign import (
@@ -42,7 +45,6 @@ from outcome_example import OUTCOME
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -167,6 +169,18 @@ def test_a_library_without_all_members_is_refused(tmp_path: Path) -> None:
         require_members(library, EXPERIMENTS)
     require_members(SHIPPED, EXPERIMENTS)
     require_members(library, [])
+    command = ["evaluate", "-e", "step-times", "--library", str(library), "-o", str(tmp_path / "o")]
+    assert "2 members, these experiments need 4" in str(CliRunner().invoke(app, command).exception)
+    assert not (tmp_path / "o").exists()
+
+
+def test_libraries_of_runs_have_the_same_path_in_every_working_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    trial = Trial("bend", "10.8 m/s", KINDS[ENSEMBLE], BEND)
+    (own,) = Campaign(Path("runs"), SHIPPED).runs([trial], lambda _: None).parts.values()
+    assert own.scenario.library == str(tmp_path / "runs/libraries/0-3.safetensors")
 
 
 def test_a_vehicle_that_is_pushed_to_an_edge_comes_back(tmp_path: Path) -> None:
@@ -216,7 +230,7 @@ def test_groups_compare_with_the_oracle_seed_by_seed() -> None:
     assert (ensemble.completed, oracle.completed) == (4, 3)
     assert ensemble.regret.value == pytest.approx(0.12 / 0.11)
     assert ensemble.time_regret.value == pytest.approx(1.02)
-    assert ensemble.lap_time == Interval(30.6, 30.6, 30.6)
+    assert ensemble.time == Interval(30.6, 30.6, 30.6)
     assert oracle.regret.value == oracle.time_regret.value == 1.0
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import socket
 import subprocess
 import sys
@@ -18,7 +19,7 @@ from egp_service.control.endpoints import free_port
 from egp_service.data.collect import CollectionSettings, collect
 from egp_service.data.experiment import Experiment
 from egp_service.data.exploration import ExplorationSettings
-from egp_service.workers import workers
+from egp_service.workers import WorkerError, workers
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -76,6 +77,11 @@ def test_an_interruption_ends_what_the_cluster_works_on(cluster: str) -> None:
     # The cores are free again.
     with workers(cluster=cluster) as pool:
         assert pool.submit(int, "7").result(PATIENCE) == 7
+
+
+def test_a_process_that_was_killed_on_a_cluster_is_an_error_in_words(cluster: str) -> None:
+    with pytest.raises(WorkerError, match="ray status"), workers(cluster=cluster) as pool:
+        pool.submit(signal.raise_signal, signal.SIGKILL).result(PATIENCE)
 
 
 def test_an_address_without_a_cluster_is_an_error() -> None:

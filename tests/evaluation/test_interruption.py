@@ -66,6 +66,17 @@ def test_a_killed_worker_is_an_error_in_words() -> None:
         pool.submit(end_by_the_system).result(PATIENCE)
 
 
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="Linux only")
+def test_by_default_there_is_a_process_for_each_core_that_may_be_used() -> None:
+    cores = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(cores)})
+    try:
+        with workers() as pool:
+            assert vars(pool)["_max_workers"] == 1
+    finally:
+        os.sched_setaffinity(0, cores)
+
+
 def test_an_evaluation_whose_worker_was_killed_says_how_it_goes_on(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

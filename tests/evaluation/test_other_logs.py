@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import warnings
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,7 +18,7 @@ from egp_service.data.provenance import Provenance
 from egp_service.data.sensors import Sensors, measure
 from egp_service.evaluation import logs
 from egp_service.evaluation.log_figures import draw_log
-from egp_service.evaluation.logs import OTHER, OURS, LogOutcome, evaluate_logs
+from egp_service.evaluation.logs import OTHER, OURS, LogOutcome, _last_change, evaluate_logs
 from egp_service.training.open_loop import NO_CHANGE, skill
 from egp_service.training.train import TrainingSettings
 from egp_service.vehicle import known_vehicle
@@ -63,6 +64,9 @@ def test_a_log_without_a_duration_to_compare_is_drawn(
     member = dataclasses.replace(outcome.member, validation=slow)
     compared = skill({OURS: member.predict_mean}, slow)
     assert compared.durations == ()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert np.isnan(_last_change(outcome.member.dataset, slow, (1.0, 1.0))).all()
     draw_log(dataclasses.replace(outcome, member=member, skill=compared), tmp_path / "wet.png")
     assert (tmp_path / "wet.png").exists()
 

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING
 from egp_service.control.endpoints import MONITOR_ENDPOINT
 from egp_service.control.status import StatusPublisher
 from egp_service.simulation.closed_loop import drive
-from egp_service.simulation.course import build_path
 from egp_service.simulation.in_process import in_process_controller
 from egp_service.simulation.recording import plant_truth
 from egp_service.simulation.scenario import load_scenario
@@ -40,7 +39,7 @@ class SimulatedFleet:
         with in_process_controller(scenario) as controller:
             drive(scenario, controller, self._periods.append)
             self.dt = controller.dt
-            road = vehicle_road(build_path(scenario))
+            road = vehicle_road(scenario)
 
             def connect(i: int) -> StatusPublisher:
                 return StatusPublisher(controller, endpoint, vehicle=f"car-{i + 1}", road=road)

@@ -389,5 +389,7 @@ def test_a_page_that_leaves_at_once_is_not_counted() -> None:
 def test_addresses_that_cannot_be_used_are_named() -> None:
     with bind("127.0.0.1", 0) as taken, pytest.raises(EgpError, match="--port"):
         bind("127.0.0.1", taken.getsockname()[1])
+    with pytest.raises(EgpError, match="the host of the page is empty: give --host an address"):
+        bind("", 0)
     with pytest.raises(InvalidArgumentError, match="did you mean"):
         SimulatedFleet("127.0.0.1:7449", 1, laps=0.02)

@@ -6,13 +6,16 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+import zenoh
 from typer.testing import CliRunner
 
 for name in ("rosbags", "ruamel.yaml", "xxhash", "pycdr2"):
@@ -20,7 +23,7 @@ for name in ("rosbags", "ruamel.yaml", "xxhash", "pycdr2"):
 
 from egp_service import Controller, Plant, shipped
 from egp_service._core import EgpError, InvalidArgumentError
-from egp_service.cli import app
+from egp_service.cli import app, signals
 from egp_service.control.endpoints import free_endpoint
 from egp_service.control.router import Router
 from egp_service.ros2 import messages, node
@@ -45,6 +48,8 @@ from patience import ATTEMPTS, PATIENCE
 from ros2 import idl, vehicle
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from egp_service import Path as Road
 
 TESTS = Path(__file__).parents[1]
@@ -183,6 +188,46 @@ def test_a_missing_router_is_told_at_once_and_at_the_end(monkeypatch: pytest.Mon
     message = str(result.exception)
     assert f"no router of rmw_zenoh at {endpoint}" in message
     assert "orchestrator" not in message  # the place in zenoh's source
+
+
+def test_the_router_is_at_the_endpoints_of_a_configuration_of_zenoh(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened: list[str] = []
+
+    def refuse(config: zenoh.Config, _: float) -> None:
+        opened.extend(json.loads(config.get_json("connect/endpoints")))
+        raise zenoh.ZError("refused")
+
+    monkeypatch.setattr(node, "open_session", refuse)
+    file = tmp_path / "zenoh.json5"
+    file.write_text('{mode: "client", connect: {endpoints: ["tcp/127.0.0.1:9"]}}')
+    command = ["ros2", "--zenoh", str(file)]
+    told = str(CliRunner().invoke(app, command).exception)
+    assert told.startswith(f"no router of rmw_zenoh at the endpoints of {file}: refused")
+    CliRunner().invoke(app, [*command, "--router", "tcp/127.0.0.1:10"])
+    assert opened == ["tcp/127.0.0.1:9", "tcp/127.0.0.1:10"]
+
+
+def test_a_signal_that_came_in_a_function_that_zenoh_calls_ends_the_drive(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Driven:
+        """A vehicle whose first period follows a signal that could not raise anything."""
+
+        problem = ""
+
+        def __init__(self, *_: object) -> None:
+            pass
+
+        def run(self, observe: Callable[[None], None], _: object) -> None:
+            monkeypatch.setattr(signals, "_received", [signal.SIGTERM])
+            observe(None)
+            raise EgpError("driven on")
+
+    monkeypatch.setattr(node, "Node", lambda *_: nullcontext())
+    monkeypatch.setattr("egp_service.ros2.driving.Vehicle", Driven)
+    assert CliRunner().invoke(app, ["ros2"]).exit_code == 128 + signal.SIGTERM
 
 
 def test_options_of_a_service_need_one() -> None:

@@ -16,10 +16,11 @@ import pytest
 import zenoh
 
 from egp_service import Controller, EgpError, StatusPublisher, VehicleClient
-from egp_service._core import VehicleParameters, decode_request
+from egp_service._core import Discovery, VehicleParameters, decode_request
 from egp_service._core.testing import live_key
+from egp_service.control.client import _first_ready
 from egp_service.control.endpoints import free_endpoint
-from egp_service.control.network import Announcement
+from egp_service.control.network import Announcement, ServiceUnreachableError
 from egp_service.control.service_process import ServiceProcess
 from egp_service.shipped import DEMO_LIBRARY
 from frozen import freeze
@@ -251,8 +252,11 @@ def test_closing_a_cut_link_does_not_replace_an_exception(
     session.close()  # type: ignore[no-untyped-call]
 
 
+@pytest.mark.parametrize("connecting", [True, False])
 def test_a_question_about_a_lost_replica_that_has_no_answer_is_asked_again(
-    service: ServiceProcess, monkeypatch: pytest.MonkeyPatch
+    service: ServiceProcess,
+    monkeypatch: pytest.MonkeyPatch,
+    connecting: bool,  # noqa: FBT001 - a parameter
 ) -> None:
     with VehicleClient.connect([service.endpoint], gate=GATE) as client:
         network, asked = client._network, list[str]()  # noqa: SLF001
@@ -263,9 +267,14 @@ def test_a_question_about_a_lost_replica_that_has_no_answer_is_asked_again(
                 handler.callback(SimpleNamespace(ok=None))  # as zenoh does after `timeout` s
 
         with monkeypatch.context() as patch:
-            stub = SimpleNamespace(liveliness=lambda: SimpleNamespace(get=get))
+            info = SimpleNamespace(peers_zid=list, routers_zid=list)
+            stub = SimpleNamespace(liveliness=lambda: SimpleNamespace(get=get), info=info)
             patch.setattr(network, "session", stub)
             network._inbox.put(Announcement(0.0, "main", appeared=False))  # noqa: SLF001
+            if connecting:
+                discovery = Discovery(fleet="default", vehicle="vehicle-1", gate=GATE)
+                with pytest.raises(ServiceUnreachableError):
+                    _first_ready(network, discovery, [], time.monotonic() + 0.2)
             while (event := network.next(0.0)) is not None:
                 event(client._driver)  # noqa: SLF001
         assert asked == 2 * [live_key("main")]

@@ -15,6 +15,7 @@ import zenoh
 
 from egp_service import VehicleClient
 from egp_service.control.endpoints import free_endpoint, why_unreachable
+from egp_service.control.router import Router
 from egp_service.simulation.scenario import gate_settings, library_path, load_scenario
 from patience import ATTEMPTS
 
@@ -75,6 +76,16 @@ def period(vehicle: VehicleClient, deadline: float) -> str:
         vehicle.reset()
     time.sleep(max(0.0, vehicle.dt - (time.monotonic() - begun)))
     return step.status
+
+
+def test_a_router_says_where_it_listens_although_its_file_has_endpoints_for_each_mode(
+    tmp_path: Path,
+) -> None:
+    file, endpoint = tmp_path / "router.json5", free_endpoint()
+    listen = {"endpoints": {"router": [endpoint], "peer": ["tcp/127.0.0.1:0"]}}
+    file.write_text(json.dumps({"mode": "router", "listen": listen}), encoding="utf-8")
+    with Router([], zenoh_file=file) as router:
+        assert router.endpoints == (endpoint,)
 
 
 def test_a_restarted_router_is_found_again(tmp_path: Path) -> None:

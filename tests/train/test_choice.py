@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING
+import itertools
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from egp_service import EgpError
 from egp_service._core import Library
 from egp_service.cli.tables import kind_sentence, skill_warnings
 from egp_service.data.dataset import Dataset
-from egp_service.training import prior_mean
+from egp_service.training import prior_mean, sparse
 from egp_service.training.average_member import PriorMean, average_member
 from egp_service.training.choice import KINDS, MARGIN, hold_out, preferred
 from egp_service.training.euler import euler_steps
@@ -33,8 +34,9 @@ from egp_service.training.open_loop import (
     student_loss,
     student_scale,
 )
-from egp_service.training.sparse import PosteriorMean, average_targets
+from egp_service.training.sparse import PosteriorMean, average_targets, fit_sparse
 from egp_service.training.train import TrainingSettings, split, train, train_parts
+from egp_service.training.trained import ScaledData
 from egp_service.training.validation import member_skill
 
 if TYPE_CHECKING:
@@ -77,6 +79,42 @@ def test_with_all_points_the_sparse_process_is_the_exact_one() -> None:
     np.testing.assert_allclose(PosteriorMean(process, z).given(y)[:30], mean, atol=1e-5)
     (targets,) = average_targets([process], z, [y])
     np.testing.assert_allclose(targets, y, atol=1e-5)
+
+
+def test_a_fit_ends_where_a_step_began_that_leads_to_no_covariance(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rng = np.random.default_rng(0)
+    z = torch.tensor(rng.standard_normal((60, 6)))
+    y = torch.sin(z[:, 0]) + 0.1 * torch.tensor(rng.standard_normal(60))
+    bound = sparse._bound  # noqa: SLF001
+
+    def fitted(calls: float) -> tuple[list[float], float]:
+        """Fit until the bound cannot be computed any more, after so many computations."""
+        process = OutputProcess(z[:20], y[:20], "matern52", WHOLE_CHANGES)
+        process.assign(START)
+        process.train()
+        losses: list[float] = []
+        count = itertools.count()
+
+        def failing(*arguments: Any) -> torch.Tensor:  # noqa: ANN401
+            if next(count) >= calls:
+                raise torch.linalg.LinAlgError  # type: ignore[attr-defined]
+            return bound(*arguments)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(sparse, "_bound", failing)
+            fit_sparse(process, z, y, 10, lambda _, loss: losses.append(loss))
+        with torch.no_grad(), exact():
+            return losses, float(-bound(process, z, y) / len(y))
+
+    every, last = fitted(np.inf)
+    assert last < every[0]
+    losses, found = fitted(6)
+    assert 1 <= len(losses) < len(every)
+    assert found == pytest.approx(every[len(losses)], abs=1e-12)
+    with pytest.raises(EgpError, match="constant or"):
+        fitted(0)
 
 
 def test_few_points_with_average_targets_predict_what_all_transitions_say() -> None:
@@ -309,3 +347,10 @@ def test_a_log_too_short_for_a_choice_is_an_error_that_says_how_long_it_must_be(
     # A log of 10 to 20 s has two trajectories, of which one is held out for validation.
     with pytest.raises(EgpError, match=r"one trajectory .* more than 20 s .*--mean single-track"):
         train([surface(trajectories=2)], SETTINGS, vehicle=TOY)
+
+
+def test_a_graphics_card_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    values = np.random.default_rng(0).standard_normal((9, 6))
+    scaled = ScaledData.of(values, values[:, :3], np.zeros(3), np.ones(3))
+    assert scaled.z.device.type == scaled.y.device.type == "cpu"

@@ -126,11 +126,19 @@ def test_refuses_what_is_not_there() -> None:
         CollectionSettings(runs=0, samples=0)
 
 
+def test_the_largest_seed_is_one_of_every_run() -> None:
+    short = ExplorationSettings(episodes=1, seconds=0.1, warm_up=0.0)
+    settings = CollectionSettings(runs=1, samples=0, tracks=("random",), exploration=short)
+    for seed in (20261129150300, 2**63 - 1):
+        assert len(collect(Experiment(friction=0.8, label="a", seed=seed), settings, jobs=1)) > 0
+
+
 @pytest.mark.parametrize(
     ("changes", "complaint"),
     [
         ({"vehicle": 9}, "one of the CommonRoad vehicles"),
         ({"vehicle": [1]}, r"vehicle \[1\] .*: expected a coefficient"),
+        ({"seed": 2**63}, r"seed is 9223372036854775808: expected a whole number from 0 to 2\^63"),
         ({"vehicle": 10**30}, "whole numbers as seed and vehicle"),
         ({"friction": [0.5]}, r"friction \[0.5\], .*: expected a coefficient"),
         ({"friction": "mud"}, "no surface"),

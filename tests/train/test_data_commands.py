@@ -151,6 +151,10 @@ def test_a_recipe_states_what_options_would(tmp_path: Path) -> None:
             "training: kernel must be one of 'rbf', 'matern52', got",
         ),
         ("training.max_points = 6000", "training: max_points is 6000: expected at most 5000"),
+        (
+            "training = {mean = 'best', max_points = 2000}",
+            "training: max_points is 2000: expected at most 150 with the mean 'best'",
+        ),
         ("foo = 1", "unknown field 'foo'; known: surface, collection, .*, friction, .*, dt"),
         ("dt = '20 ms'", "dt must be a number, got '20 ms'$"),
         ("vehicle = 1.0", "vehicle must be a whole number, got 1.0$"),

@@ -97,6 +97,12 @@ def test_doubts_units(tmp_path: Path) -> None:
         Column.parse("speed")
 
 
+def test_two_quantities_of_one_column_are_an_error(tmp_path: Path) -> None:
+    _write(tmp_path / "drive.csv", _log())
+    with pytest.raises(EgpError, match="v_x and v_y are both the column 'speed': expected a col"):
+        _import(tmp_path / "drive.csv", v_y="speed:km/h")
+
+
 def test_compares_a_logged_steering_rate(tmp_path: Path) -> None:
     si = _log()
     _write(tmp_path / "drive.csv", si)

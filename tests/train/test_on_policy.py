@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -13,6 +15,10 @@ from egp_service.data.exploration import STANDING
 from egp_service.simulation.scenario import library_path, load_scenario
 from egp_service.training import on_policy
 from egp_service.training.on_policy import OnPolicySettings, distinct_surfaces, drive_laps
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
 
 LIBRARY = library_path(load_scenario("rounded-rectangle"))
 SURFACES = [
@@ -42,6 +48,25 @@ def test_each_surface_gets_its_own_transitions() -> None:
     assert np.max(dry.z[:, 0]) > np.max(wet.z[:, 0])
     again = drive_laps(LIBRARY, SURFACES, TWO_LAPS, jobs=1)
     assert [dataset.digest() for dataset in again] == [dataset.digest() for dataset in datasets]
+
+
+def test_a_machine_that_drives_laps_needs_no_file_of_the_library(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    library = tmp_path / "library.safetensors"
+    library.write_bytes(LIBRARY.read_bytes())
+
+    def elsewhere(
+        _: object, work: Callable[[object], object], parts: list[object]
+    ) -> Iterator[object]:
+        sent = pickle.dumps((work, parts))
+        library.unlink()
+        received, scenarios = pickle.loads(sent)  # noqa: S301 - as a cluster does
+        return map(received, scenarios)
+
+    monkeypatch.setattr(on_policy, "in_order", elsewhere)
+    one = replace(TWO_LAPS, laps=1)
+    assert sum(map(len, drive_laps(library, SURFACES, one, jobs=1))) > 200
 
 
 def test_forces_alternate_at_the_end_of_the_grip(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -242,9 +242,10 @@ def test_files_that_are_no_complete_recording_are_named(tmp_path: Path) -> None:
         load(tmp_path / "empty.mcap")
     with pytest.raises(EgpError, match="no such file or folder"):
         load(tmp_path / "none.mcap")
-    for name in ("noise.mcap", "noise.db3", "noise.bag"):
+    named = dict.fromkeys(("noise.mcap", "n.MCAP", "noise.db3", "noise.bag"), "not a readable rec")
+    for name, told in (named | {"n.BAG": "bags are .* rename it to n.bag"}).items():
         (tmp_path / name).write_bytes(b"\x00\x01noise" * 300)
-        with pytest.raises(EgpError, match=f"{name}: not a readable recording"):
+        with pytest.raises(EgpError, match=f"{name}: {told}"):
             load(tmp_path / name)
     (tmp_path / "folder").mkdir()
     with pytest.raises(EgpError, match="metadata"):
@@ -309,6 +310,7 @@ def test_mcap_files_with_json(tmp_path: Path) -> None:
             data = json.dumps({"timestamp": stamp, "speed": [k, 2 * k]}).encode()
             writer.add_message(channel, 10**9 + k, data, 10**9 + k)
         writer.finish()  # type: ignore[no-untyped-call]
+    path = path.rename(tmp_path / "JSON.MCAP")
     table = read_recording(path, ["/car/speed[1]"], 0.02)
     assert table["/car/speed[1]"].to_list() == [0.0, 2.0, 4.0, 6.0, 8.0]
     np.testing.assert_allclose(table["time"], 0.02 * np.arange(5))

@@ -385,6 +385,7 @@ def test_a_log_without_a_measured_sideslip_is_an_error_before_the_delays_are_sea
         {"mean": "zero"},
         {"max_points": 3},
         {"max_points": 5001},
+        {"max_points": 151, "mean": "best"},
         {"restarts": -1},
         {"validation_fraction": 1.0},
         {"seed": -1},

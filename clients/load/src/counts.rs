@@ -48,7 +48,8 @@ impl Sent {
             Ok(status) => status_name(status).to_owned(),
             Err(_) => "unusable".to_owned(),
         };
-        self.count(outcome, Some(latency), Timing::decode(attachment).ok());
+        let timing = (!attachment.is_empty()).then(|| Timing::decode(attachment).ok());
+        self.count(outcome, Some(latency), timing.flatten());
     }
 
     /// Counts an error reply with this payload; zenoh's own errors are no `egp.v1.Error`.

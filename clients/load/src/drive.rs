@@ -64,29 +64,21 @@ pub(crate) fn drive(
         thread::sleep(due.saturating_duration_since(Instant::now()));
         let lag = due.elapsed();
         let counted = due >= assignment.measure;
-        match vehicle.period(due) {
-            Ok(period) => {
-                if counted {
-                    tally.count(&period, lag);
-                }
-                if is_over(&period) {
-                    vehicle.place(home)?;
-                    tally.put_back += u64::from(counted);
-                }
-            }
-            Err(SimulationError::Plant(_)) => {
-                vehicle.place(home)?;
-                tally.put_back += u64::from(counted);
-            }
-            Err(error) => return Err(error.into()),
+        let period = vehicle.period(due)?;
+        if counted {
+            tally.count(&period, lag);
+        }
+        if is_over(&period) {
+            vehicle.place(home)?;
+            tally.put_back += u64::from(counted);
         }
         due += assignment.period;
     }
     Ok(tally)
 }
 
-/// Whether the vehicle must be put back, because it has stopped for good or is off the road.
+/// Whether the vehicle must be put back, because it has stopped for good, has spun, or is off the road.
 fn is_over(period: &Period) -> bool {
     let stopped = period.step.command.mode == Mode::Stop && period.v_x < 0.1;
-    stopped || period.projection.lateral.abs() > LOST
+    stopped || period.moved.is_err() || period.projection.lateral.abs() > LOST
 }

@@ -36,8 +36,8 @@ pub struct Period {
     pub projection: Projection,
     /// The vehicle's speed at the start, m/s.
     pub v_x: f64,
-    /// The reference's speed at the start, m/s.
-    pub v_reference: f64,
+    /// How the plant moved. After an error the vehicle must be put back ([`SimulatedVehicle::place`]).
+    pub moved: Result<(), PlantError>,
 }
 
 /// Plant, course and client of one vehicle.
@@ -110,7 +110,7 @@ impl SimulatedVehicle {
     /// Runs one control period that begins at `start`: measures, asks the service, and moves the plant.
     ///
     /// # Errors
-    /// [`SimulationError`]; call [`SimulatedVehicle::place`] to go on.
+    /// [`SimulationError`].
     pub fn period(&mut self, start: Instant) -> Result<Period, SimulationError> {
         let dt = self.client.dt();
         let state = self.plant.vehicle_state();
@@ -132,13 +132,12 @@ impl SimulatedVehicle {
             self.client
                 .step_since(start, state.to_array(), self.rows.reference(), widths)?;
         let surfaces = self.course.path.surfaces_near(Some(projection.s));
-        self.plant.step(step.command.u, dt, &surfaces)?;
-        let v_reference = self.course.profile.speed(projection.s);
+        let moved = self.plant.step(step.command.u, dt, &surfaces);
         Ok(Period {
             step,
             projection,
             v_x: state.v_x,
-            v_reference,
+            moved,
         })
     }
 

@@ -114,8 +114,10 @@ impl VehicleConfig {
     /// number of a run once, and every driver counts its questions from 1.
     pub(crate) fn driver_of_a_run(&self) -> Result<DriverConfig, getrandom::Error> {
         let mut driver = self.driver.clone();
-        let of_a_run = |key| getrandom::u64().map(|run| RunKey { key, run });
-        driver.key = self.key.clone().map(of_a_run).transpose()?;
+        if let Some(key) = self.key.clone() {
+            let run = getrandom::u64()?;
+            driver.key = Some(RunKey { key, run });
+        }
         Ok(driver)
     }
 
@@ -149,7 +151,11 @@ mod tests {
         let own = own.unwrap().clone();
         config.key = Some(own.clone());
         let [first, second] = [(); 2].map(|()| config.driver_of_a_run().unwrap().key.unwrap());
-        assert_eq!([first.key, second.key], [own.clone(), own]);
+        assert_eq!([&first.key, &second.key], [&own, &own]);
         assert_ne!(first.run, second.run);
+        // A key that only the driver's configuration states is used as it is.
+        config.key = None;
+        config.driver.key = Some(second.clone());
+        assert_eq!(config.driver_of_a_run().unwrap().key, Some(second));
     }
 }

@@ -26,14 +26,21 @@ class RoadBelief:
     the probability of a change within this distance plans assume that a place is on a patch, about
     which only evidence measured within 8 m counts. A cell keeps logarithms of likelihood ratios up
     to 6 nats, and a window does not tell coefficients apart whose logarithms differ by up to 0.25
-    nats. `window` is the number of transitions from which a step estimates the friction.
+    nats. `window` is the number of transitions from which a step estimates the friction. `scale`
+    multiplies all lengths named here; it is 1 for full-size vehicles, and for smaller ones their
+    `VehicleParameters.scale`. Only beliefs of the same scale exchange tiles and files, so use the
+    nearest power of two if vehicles of nearly the same size share what they find.
 
     Raises:
-        InvalidArgumentError: unless the window is 1 to 1000, and the path 1 m to 1000 km long.
+        InvalidArgumentError: unless the window is 1 to 1000, the scale 0.01 to 1, and the path 1 m
+            to 1000 km long.
 
     """
 
-    def __new__(cls, path: Path, *, window: int = 25) -> RoadBelief: ...
+    def __new__(cls, path: Path, *, window: int = 25, scale: float = 1.0) -> RoadBelief: ...
+    @property
+    def scale(self) -> float:
+        """Factor of all lengths of the belief."""
     @property
     def window(self) -> int:
         """Number of transitions from which a step estimates the friction, 1 to 1000.

@@ -10,8 +10,7 @@ STANDARD_GRAVITY: float  # of speed profiles, and the unit "g" of logs, m/s²
 def slip_speed(wheelbase: float) -> float:
     """Return the lowest speed, m/s, at which slip angles are computed: 3 sqrt(min(1, L / 2 m)).
 
-    L is the distance of the axles. Speeds of vehicles of similar shape are proportional to the root
-    of their size (Froude).
+    L is the distance of the axles.
     """
 
 @final
@@ -61,6 +60,14 @@ class VehicleParameters:
         """Return the smallest and the largest value of each field: model cars to lorries."""
     def fields(self) -> dict[str, float]:
         """Return all values by the names of the arguments, in their units."""
+    @property
+    def scale(self) -> float:
+        """Size relative to a full-size vehicle: (l_f + l_r) / 2 m, at most 1.
+
+        On the same surfaces vehicles of similar shape have the same accelerations. Their lengths
+        are proportional to the scale, times and speeds to its square root (Froude's law). Defaults
+        that are lengths, speeds or weights of such quantities follow it.
+        """
     @property
     def slip_speed(self) -> float:
         """Lowest speed, m/s, at which slip angles of this vehicle are computed."""

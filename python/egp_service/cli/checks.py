@@ -112,7 +112,9 @@ def _clock() -> Check:
     drift = 1e3 * abs((time.time() - wall) - (time.monotonic() - steady))
     found = f"monotonic clock with {1e9 * info.resolution:.0f} ns, wall clock moved {drift:.2f} ms"
     if drift > 1.0:
-        advice = "the wall clock is being adjusted; control uses the monotonic one, maps' ages not"
+        advice = (
+            "the wall clock is being adjusted: the age of a map depends on it, control does not"
+        )
         return Check("clocks", "warn", found, advice)
     return Check("clocks", "ok", found)
 

@@ -16,7 +16,7 @@ Cluster = Annotated[
     typer.Option(
         metavar="HOST:PORT",
         help="Work on a Ray cluster instead. Needs the extra cluster, and on its machines the same "
-        "files and version.",
+        "version; `egp evaluate` also needs its files there, at the same paths.",
     ),
 ]
 

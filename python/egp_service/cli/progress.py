@@ -55,13 +55,6 @@ def collecting(console: Console) -> Iterator[Callable[[str, int, int], None]]:
         yield report
 
 
-def reading(
-    console: Console, name: str
-) -> contextlib.AbstractContextManager[Callable[[int, int], None]]:
-    """Show a bar for a recording; the callable takes the messages that were read, and all."""
-    return counted(console, f"reading {name}", "messages")
-
-
 @contextlib.contextmanager
 def counted(console: Console, what: str, noun: str) -> Iterator[Callable[[int, int], None]]:
     """Show a bar until the work is done; the callable takes the completed things, and all."""

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 from egp_service.control.endpoints import MONITOR_PORT, check_endpoints, why_unreachable
 from egp_service.control.status import StatusPublisher
-from egp_service.simulation.course import build_path
 from egp_service.simulation.recording import plant_truth
 from egp_service.simulation.scene import vehicle_road
 
@@ -48,7 +47,7 @@ def publication(
             markup=False,
             highlight=False,
         )
-    road = vehicle_road(build_path(scenario))
+    road = vehicle_road(scenario)
     with StatusPublisher(
         controller, endpoint, fleet=fleet, vehicle=vehicle, road=road, zenoh_file=zenoh_file
     ) as status:

@@ -56,6 +56,16 @@ class Announcement:
             driver.replica_gone(self.at, self.replica)
 
 
+@dataclass(frozen=True, slots=True)
+class _Silence:
+    """No answer to the question whether a replica that was lost is there."""
+
+    replica: str
+
+    def __call__(self, driver: Driver) -> None:
+        """Call nothing of the driver; `Network.next` repeats the question."""
+
+
 class Network:
     """A zenoh session, and its events in order as calls of a driver."""
 
@@ -77,9 +87,12 @@ class Network:
         )
 
     def next(self, patience: float) -> Callable[[Driver], None] | None:
-        """Return the next event, or None if there is none within `patience` seconds."""
+        """Return the next event, or None if there is none within `patience` seconds.
+
+        After the loss of a replica this also asks whether it is there, until there is an answer.
+        """
         event = self._inbox.get(patience)
-        if isinstance(event, Announcement) and not event.appeared:
+        if isinstance(event, _Silence) or (isinstance(event, Announcement) and not event.appeared):
             self._look_again(event.replica)
         return event
 
@@ -87,7 +100,7 @@ class Network:
         key = LIVE_KEYS.replace("*", replica)
         # zenoh calls `silence` in its own thread if no answer came in time. It only adds an event,
         # so that the thread that handles events repeats the question.
-        silence = partial(self._inbox.put, lambda _: self._look_again(replica))
+        silence = partial(self._inbox.put, _Silence(replica))
         look_again(self.session, key, self._on_token, silence)
 
     def ask(self, query: Query) -> None:

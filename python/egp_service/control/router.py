@@ -60,7 +60,10 @@ class Router:
             raise EgpError(
                 f"zenoh cannot open a router's session: {zenoh_reason(error)}"
             ) from error
-        self.endpoints = tuple(json.loads(config.get_json("listen/endpoints")))
+        stated = json.loads(config.get_json("listen/endpoints"))
+        if isinstance(stated, dict):  # the endpoints of each mode
+            stated = stated.get("router", [])
+        self.endpoints: tuple[str, ...] = tuple(stated)
         """Where it listens."""
 
     def close(self) -> None:

@@ -62,7 +62,8 @@ class StatusPublisher:
                 vehicle.apply(step.u)
                 status.add(step, x, time)
 
-    The counts and times of all periods are published, and of the rest the newest every 0.1 s.
+    Every 0.1 s a message has the newest period, the counts of all periods, and the times of the
+    periods since the last message, of which it has the newest 64 at most.
     """
 
     def __init__(

@@ -7,13 +7,13 @@ The result does not depend on the number of processes.
 from __future__ import annotations
 
 import dataclasses
-import os
 from contextlib import ExitStack
 from functools import partial
 from typing import TYPE_CHECKING
 
-from egp_service._core import EgpError
+from egp_service._core import EgpError, available_cores
 from egp_service.data.dataset import Dataset, merge
+from egp_service.data.experiment import SEEDS
 from egp_service.data.exploration import ExplorationSettings, explore
 from egp_service.data.exploration_track import ExplorationTrack, check_track
 from egp_service.data.sampling import SamplingBounds, sample
@@ -77,7 +77,7 @@ def collect(
         report(len(parts), total)
     run = partial(_run, experiment, settings)
     with ExitStack() as stack:
-        if cluster is None and (jobs := min(jobs or os.cpu_count() or 1, settings.runs)) <= 1:
+        if cluster is None and (jobs := min(jobs or available_cores(), settings.runs)) <= 1:
             runs: Iterable[Dataset] = map(run, numbers)
         else:
             runs = in_order(stack.enter_context(workers(jobs, cluster)), run, numbers)
@@ -90,7 +90,7 @@ def collect(
 def _run(experiment: Experiment, settings: CollectionSettings, number: int) -> Dataset:
     """Drive run `number`, whose seed differs from those of other experiments."""
     count = len(settings.tracks)
-    seed = 1_000_003 * (experiment.seed + 1) + number
+    seed = (1_000_003 * (experiment.seed + 1) + number) % SEEDS
     name, reverse = settings.tracks[number % count], number // count % 2 == 1
     track = ExplorationTrack(name, experiment.parameters, seed, reverse=reverse)
     return explore(dataclasses.replace(experiment, seed=seed), track, settings.exploration)

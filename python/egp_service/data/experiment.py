@@ -15,6 +15,8 @@ from egp_service.vehicle import simulated_name
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+SEEDS: Final = 1 << 63
+"""Number of seeds, which are 0 and more; a recipe's file has no larger numbers."""
 # m, within 8 % of both CommonRoad cars; it is used for the excitation only.
 WHEELBASE: Final = 2.5
 
@@ -48,9 +50,9 @@ def parse_surface(text: str) -> float | str:
 
 
 def check_seed(seed: int) -> None:
-    """Errors if no generator of random numbers has this seed."""
-    if seed < 0:
-        raise EgpError(f"seed is {seed}: expected a whole number of 0 or more")
+    """Errors if the seed is outside its range."""
+    if not 0 <= seed < SEEDS:
+        raise EgpError(f"seed is {seed}: expected a whole number from 0 to 2^63 - 1")
 
 
 def check_range(

@@ -239,7 +239,11 @@ def _check_columns(
 
 
 def _check_quantities(columns: Mapping[str, Column], mass: float | None) -> None:
-    """Errors if a quantity or its unit is unknown, or if the force cannot be computed."""
+    """Errors if a quantity is unknown, has a unit of another one or the column of another one.
+
+    Also errors if the force cannot be computed.
+    """
+    first: dict[str, str] = {}
     for quantity, column in columns.items():
         if quantity not in plausibility.LARGEST:
             raise EgpError(
@@ -248,6 +252,11 @@ def _check_quantities(columns: Mapping[str, Column], mass: float | None) -> None
         if UNITS[column.unit][0] != _SI_UNITS[quantity]:
             raise EgpError(
                 f"{quantity} from '{column.name}': {column.unit} is not a unit of {quantity}"
+            )
+        if (other := first.setdefault(column.name, quantity)) != quantity:
+            raise EgpError(
+                f"{other} and {quantity} are both the column '{column.name}': expected a column of "
+                "its own for each --column"
             )
     if "a_x" in columns and mass is None:
         raise EgpError(

@@ -34,7 +34,7 @@ _log = logging.getLogger(__name__)
 
 def is_recording(path: Path) -> bool:
     """Whether a path is a bag's folder or has the suffix of a recording."""
-    return path.is_dir() or path.suffix in {_MCAP, *_BAGS}
+    return path.is_dir() or path.suffix.lower() in {_MCAP, *_BAGS}
 
 
 def check_folder(path: Path) -> None:
@@ -77,7 +77,12 @@ def open_recording(path: Path) -> Iterator[Messages]:
     check_folder(path)
     with contextlib.ExitStack() as stack:
         with _foreign(path):
-            mcap = path.suffix == _MCAP and path.is_file()
+            if path.is_file() and path.suffix.lower() in _BAGS - {path.suffix}:
+                raise EgpError(
+                    f"{path}: bags are read by names that end in lower case only: rename it to "
+                    f"{path.with_suffix(path.suffix.lower()).name}"
+                )
+            mcap = path.suffix.lower() == _MCAP and path.is_file()
             opened = (_mcap if mcap else _bag)(path, stack)
 
         def read(chosen: Sequence[str]) -> Iterator[tuple[str, int, Any]]:

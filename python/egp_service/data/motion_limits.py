@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 _LARGEST_LATERAL: Final = 6.0
 # Share of the rows in which a motion may be impossible: single rows are wrong in logs of real cars.
 _OUTLIERS: Final = 0.005
-# A steering angle that jumps, and before or behind the jump is exactly the same for so many
-# seconds, is a sensor's that failed. Jumps in shorter periods are those of coarse steps.
+# If the steering angle jumps, and is exactly constant for this time before or after the jump, its
+# sensor has failed. An angle that is constant for shorter times only has a coarse resolution.
 _HELD: Final = 0.5
 _SHORTEST: Final = 0.02  # s
 

@@ -221,7 +221,7 @@ def _after_gap(time: NDArray[np.float64]) -> NDArray[np.bool_]:
 def _beside_speed(v_x: NDArray[np.float64], omega: NDArray[np.float64]) -> float:
     """Return the yaw rate (standard deviation) that speed and understeer leave unexplained."""
     slopes = np.column_stack([v_x, v_x**3])
-    return float(np.std(omega - slopes @ np.linalg.lstsq(slopes, omega)[0]))
+    return float(np.std(omega - slopes @ np.linalg.lstsq(slopes, omega, rcond=None)[0]))
 
 
 def _about_line(time: NDArray[np.float64], v_x: NDArray[np.float64]) -> float:
@@ -306,7 +306,7 @@ def _check_wheelbase(
     if float(np.corrcoef(turned, omega)[0, 1]) < _CERTAIN:
         return
     slopes = np.column_stack([omega, v**2 * omega])
-    fit, _, rank, _ = np.linalg.lstsq(slopes, turned)
+    fit, _, rank, _ = np.linalg.lstsq(slopes, turned, rcond=None)
     if rank < slopes.shape[1]:
         return
     variance = np.mean((turned - slopes @ fit) ** 2) * np.linalg.inv(slopes.T @ slopes)[0, 0]

@@ -101,7 +101,8 @@ class Campaign:
 
         """
         folder.mkdir(parents=True, exist_ok=True)
-        self._folder = folder
+        # The processes of a cluster have other working directories.
+        self._folder = folder.absolute()
         self._source = library
         self._id = Library.load(library).id
         self._defaults = Engine(str(library)).settings_toml
@@ -219,10 +220,16 @@ def _shown(experiment: ClosedLoopExperiment) -> list[Trial]:
     ]
 
 
-def require_members(library: Path, experiments: Iterable[ClosedLoopExperiment]) -> None:
-    """Raise `EgpError` unless the library has all members that the experiments need."""
-    wanted = [m for e in experiments for c in e.contenders if not c.disturbed for m in c.members]
+def require_members(
+    library: Path, experiments: Iterable[ClosedLoopExperiment], timed: Iterable[int] = ()
+) -> None:
+    """Raise `EgpError` unless the library has all members that the experiments need.
+
+    `timed` are the members whose step is timed.
+    """
+    driven = [m for e in experiments for c in e.contenders if not c.disturbed for m in c.members]
     found = len(Library.load(library).members)
+    wanted = [*driven, *timed]
     if max(wanted, default=-1) >= found:
         noun = "member" if found == 1 else "members"
         raise EgpError(

@@ -78,7 +78,7 @@ def group_table(groups: Iterable[Group]) -> str:
     """Return a table with a row for each contender and condition."""
     heads = (
         "contender", "condition", "completed", "lateral RMS, m", "lateral max, m",
-        "speed RMS, m/s", "lap time, s", "off track, s", "settling, s", "RMS / oracle's",
+        "speed RMS, m/s", "time, s", "off track, s", "settling, s", "RMS / oracle's",
         "time / oracle's", "no plan", "late", "step, ms",
     )  # fmt: skip
     rows = [
@@ -95,7 +95,7 @@ def group_table(groups: Iterable[Group]) -> str:
                 interval(group.lateral_rms, 4),
                 interval(group.lateral_max, 2),
                 interval(group.speed_rms, 2),
-                interval(group.lap_time, 2),
+                interval(group.time, 2),
                 interval(group.off_track, 2),
                 interval(group.settling, 2),
                 interval(group.regret, 2),

@@ -174,11 +174,16 @@ def _outcome(
 def _last_change(
     training: Dataset, held: Dataset, axles: tuple[float, float]
 ) -> NDArray[np.float64]:
-    """RMS errors (3,) of a linear model of the linear model's error by the last change."""
+    """RMS errors (3,) of a linear model of the linear model's error by the last change.
+
+    They are NaN if no two consecutive held-out transitions count.
+    """
     first = linear(training, axles)
     known, rest = _consecutive(training, first)
     weights = np.linalg.lstsq(known, rest, rcond=None)[0]
     known, rest = _consecutive(held, first)
+    if len(rest) == 0:
+        return np.full(NY, np.nan)
     return np.asarray(np.sqrt(np.mean((rest - known @ weights) ** 2, axis=0)))
 
 

@@ -56,8 +56,8 @@ class Group:
     """Median over all runs, m (bootstrap)."""
     lateral_max: Interval
     speed_rms: Interval
-    lap_time: Interval
-    """Median of the completed runs, s; NaN without one."""
+    time: Interval
+    """Median duration of the completed runs, s; NaN without one."""
     off_track: Interval
     """Mean, s."""
     settling: Interval
@@ -67,7 +67,7 @@ class Group:
     """Median ratio of lateral RMS errors to the oracle's, over the seeds that both completed; NaN
     without such a seed."""
     time_regret: Interval
-    """Median ratio of lap times, likewise."""
+    """Median ratio of the runs' durations, likewise."""
     avoidable: int
     """Number of departures that a replay avoids."""
     too_fast: int
@@ -196,7 +196,7 @@ def _group(
         lateral_rms=median([run.lateral_rms for run in runs]),
         lateral_max=median([run.lateral_max for run in runs]),
         speed_rms=median([run.speed_rms for run in runs]),
-        lap_time=median([run.time for run in through]),
+        time=median([run.time for run in through]),
         off_track=mean([run.off_track for run in runs]),
         settling=median([float(np.median(run.settling)) for run in runs if run.settling]),
         regret=median([own.lateral_rms / best.lateral_rms for own, best in pairs]),

@@ -239,7 +239,7 @@ def _regret_section(groups: Sequence[Group]) -> Section | None:
         "interpolates the members at the true friction, over the seeds that both completed. Below "
         "1 the estimated weights are better than this interpolation. The tables below contain the "
         "ratios of every controller.",
-        tables=(plain_table((*heads, "lap time / oracle's"), rows),),
+        tables=(plain_table((*heads, "time / oracle's"), rows),),
     )
 
 

@@ -102,9 +102,9 @@ class Fleet:
     def status(self, name: str, payload: bytes, now: float) -> None:
         """Keep a vehicle's message `VehicleStatus`.
 
-        One that cannot be decoded, is of another version, has no control period, has an unknown
-        mode or is too long is ignored, and so is one with a name of a replica that no replica can
-        have. Unknown fields are not kept, and long texts are cut.
+        A message is ignored if it is too long, cannot be decoded, is of another version, has no
+        control period or an unknown mode, or names a replica as no replica can be named. Unknown
+        fields are not kept, and long texts are cut.
         """
         if len(payload) > LARGEST_STATUS:
             return

@@ -133,9 +133,14 @@ def bind(host: str, port: int) -> socket.socket:
     """Listen on `host` and `port`, 0 being any free port.
 
     Raises:
-        EgpError: if listening fails.
+        EgpError: if `host` is empty, or if listening fails.
 
     """
+    if not host:
+        raise EgpError(
+            "the host of the page is empty: give --host an address of this machine, such as "
+            "127.0.0.1, or 0.0.0.0 for all of them"
+        )
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         return socket.create_server((host, port), family=family)

@@ -65,10 +65,13 @@ class Newest:
 class Node:
     """A node of rmw_zenoh with publishers and subscriptions; it leaves the graph on `close`."""
 
-    def __init__(self, name: str, domain: int, endpoint: str, file: Path | None = None) -> None:
+    def __init__(
+        self, name: str, domain: int, endpoint: str | None, file: Path | None = None
+    ) -> None:
         """Connect to the router `ros2 run rmw_zenoh_cpp rmw_zenohd` at `endpoint`.
 
-        `file` is a configuration of zenoh (JSON5) in place of the defaults.
+        `file` is a configuration of zenoh (JSON5) in place of the defaults. Without `endpoint` the
+        router is at the endpoints of `file`.
 
         Raises:
             EgpError: if no session opens.
@@ -83,12 +86,14 @@ class Node:
             more["mode"] = "client"
             # A path of 40 000 poses is smaller.
             more["transport/link/rx/max_message_size"] = LARGEST_AT_SERVICE
-        config = session_config([endpoint], _CONNECT_SECONDS, more, file)
+        endpoints = [] if endpoint is None else [endpoint]
+        config = session_config(endpoints, _CONNECT_SECONDS, more, file)
         try:
             self._session = open_session(config, _CONNECT_SECONDS)
         except zenoh.ZError as error:
+            where = endpoint or f"the endpoints of {file}"
             raise EgpError(
-                f"no router of rmw_zenoh at {endpoint}: {zenoh_reason(error)}; start one with "
+                f"no router of rmw_zenoh at {where}: {zenoh_reason(error)}; start one with "
                 "`ros2 run rmw_zenoh_cpp rmw_zenohd` or `egp router`, or name another --router"
             ) from error
         self._name, self._domain = name, domain

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from egp_service._core import RoadBelief, VehicleLostError, horizon_reference
+from egp_service._core import VehicleLostError, horizon_reference
 from egp_service.quantities import NU, NX, POSITION, PSI, V_X
 from egp_service.simulation.course import build_path, build_profile
 from egp_service.simulation.plant import make_plant, measurement_noise
-from egp_service.simulation.reference import speed_reference, told_reference
-from egp_service.simulation.scenario import check_scenario
+from egp_service.simulation.reference import new_belief, speed_reference, told_reference
+from egp_service.simulation.scenario import check_scenario, leave_distance
 from egp_service.simulation.summary import Ending, Summary, summarise
 from egp_service.simulation.trace import Period, Trace, Truth, row_of
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from egp_service._core import Path, Projection
+    from egp_service._core import Path, Projection, RoadBelief
     from egp_service.control.step import StepController
     from egp_service.simulation.scenario import Scenario
 
@@ -128,7 +128,8 @@ class _Loop:
         self._scenario = scenario
         self._controller = controller
         self.path = build_path(scenario)
-        belief = RoadBelief(self.path) if belief is None else belief
+        belief = new_belief(scenario, self.path) if belief is None else belief
+        self._leave = leave_distance(scenario)
         belief.window = controller.history
         self._speed = speed_reference(scenario, self.path, belief, frictions)
         self._told_from = told_from
@@ -210,9 +211,9 @@ class _Loop:
         self._ticks += 1
         if self._distance >= self._goal:
             return self._ending("completed")
-        leave, lateral = self._scenario.leave_distance, period.truth.lateral_error
-        if abs(lateral) > leave:
-            return self._ending(f"more than {leave:g} m beside the path: {lateral:+.2f} m")
+        lateral = period.truth.lateral_error
+        if abs(lateral) > self._leave:
+            return self._ending(f"more than {self._leave:g} m beside the path: {lateral:+.2f} m")
         if period.step.mode == "stop":
             self._stopped = self._stopped or period.step.detail or period.step.status
             if self._plant.state[V_X] < STANDSTILL:

@@ -12,7 +12,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from egp_service._core import EgpError, InvalidArgumentError, Library, Path, SpeedProfile
-from egp_service.simulation.scenario import Scenario, library_path, vehicle_parameters
+from egp_service.simulation.scenario import (
+    Scenario,
+    leave_distance,
+    library_path,
+    vehicle_parameters,
+)
 from egp_service.simulation.scenario_checks import ScenarioError, check_seed
 
 if TYPE_CHECKING:
@@ -143,7 +148,7 @@ def narrow_place(scenario: Scenario) -> str | None:
     return (
         f"The road is {road:.2f} m wide at {s[narrowest]:.0f} m of the path, less than the "
         f"vehicle's {width:.2f} m: check the track's widths. The drive goes on as long as the car "
-        f"is within leave_distance, {scenario.leave_distance:g} m, of the path"
+        f"is within leave_distance, {leave_distance(scenario):g} m, of the path"
     )
 
 

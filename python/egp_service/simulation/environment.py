@@ -17,6 +17,7 @@ from egp_service.simulation.plant import make_plant, measurement_noise
 from egp_service.simulation.scenario import (
     Scenario,
     check_scenario,
+    leave_distance,
     load_scenario,
     vehicle_parameters,
 )
@@ -28,7 +29,8 @@ if TYPE_CHECKING:
 
 Observation = np.ndarray[tuple[int], np.dtype[np.float64]]
 
-_AHEAD: Final = np.array([0.0, 5.0, 10.0, 20.0, 40.0])  # m, where the curvature is observed
+# m, where a full-size vehicle observes the curvature
+_AHEAD: Final = np.array([0.0, 5.0, 10.0, 20.0, 40.0])
 _PATIENCE: Final = 4.0  # times of the planned lap, after which an episode ends
 
 
@@ -40,8 +42,9 @@ class TrackEnvironment(gym.Env[Observation, Observation]):
       left.
     * An observation has 11 numbers: lateral error in m (positive to the left of the path), heading
       error in rad, `v_x`, `v_y` in m/s, `omega` in rad/s, `delta` in rad, and the path's curvature
-      in 1/m at the vehicle and 5, 10, 20 and 40 m ahead. It is that of the measured state, which
-      has the noise of the scenario's `measurement`. The friction is not observed.
+      in 1/m at the vehicle and 5, 10, 20 and 40 m ahead, times the vehicle's
+      `VehicleParameters.scale`. It is that of the measured state, which has the noise of the
+      scenario's `measurement`. The friction is not observed.
     * The reward is the progress along the path in m.
     * `info` has the true state `x` (7,), its arc length `s` in m and the `friction` under the
       vehicle.
@@ -74,6 +77,8 @@ class TrackEnvironment(gym.Env[Observation, Observation]):
         car = vehicle_parameters(self._scenario)
         self._force = car.mass * np.array([-car.a_min, car.a_max])
         self._steering = car.steering_rate
+        self._ahead = car.scale * _AHEAD
+        self._leave = leave_distance(self._scenario)
         self.action_space = gym.spaces.Box(-1.0, 1.0, (2,), np.float64)
         size = 6 + len(_AHEAD)
         self.observation_space = gym.spaces.Box(-np.inf, np.inf, (size,), np.float64)
@@ -132,7 +137,7 @@ class TrackEnvironment(gym.Env[Observation, Observation]):
             spun = True  # the state before the loss is observed
         self._time += self._dt
         observation, info = self._observe(x)
-        left = spun or abs(self._lateral) > self._scenario.leave_distance
+        left = spun or abs(self._lateral) > self._leave
         ended = left or self._distance >= self._goal
         return observation, self._distance - before, ended, self._time > self._limit, info
 
@@ -166,7 +171,7 @@ class TrackEnvironment(gym.Env[Observation, Observation]):
         self._distance += advanced
         self._s, self._lateral = projection.s, projection.lateral
         heading = (measured[PSI] - seen.yaw + np.pi) % (2.0 * np.pi) - np.pi
-        curvature = self._path.sample(seen.s + _AHEAD)[3]
+        curvature = self._path.sample(seen.s + self._ahead)[3]
         motion = measured[[V_X, V_Y, OMEGA, DELTA]]
         observation = np.array([seen.lateral, heading, *motion, *curvature])
         return observation, {"x": x, "s": self._s, "friction": projection.friction}

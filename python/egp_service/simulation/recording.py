@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Self
 from egp_service.control.messages import message_class
 from egp_service.control.recorder import SCENARIO, Recorder
 from egp_service.quantities import STATE
-from egp_service.simulation.course import build_path
 from egp_service.simulation.scene import road_scene
 
 if TYPE_CHECKING:
@@ -35,7 +34,7 @@ class Recording:
         """Record a run to `path`, which is readable at any time and complete at the end."""
         notes = {SCENARIO: {"name": scenario.name, "toml": scenario.toml()}}
         with Recorder(path, controller, notes=notes) as recorder:
-            recorder.message("/scene", road_scene(build_path(scenario), scenario.vehicle), 0.0)
+            recorder.message("/scene", road_scene(scenario), 0.0)
             yield cls(recorder)
 
     def add(self, period: Period) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from abc import ABC, abstractmethod
 from pathlib import Path as FilePath
@@ -206,6 +207,16 @@ def speed_reference(
     return _Believed(scenario, path, belief)
 
 
+def new_belief(scenario: Scenario, path: Path) -> RoadBelief:
+    """Return a belief without evidence about the scenario's road.
+
+    Its scale is the power of two nearest to that of the vehicle, so that vehicles of nearly the
+    same size share what they find.
+    """
+    scale = vehicle_parameters(scenario).scale
+    return RoadBelief(path, scale=2.0 ** round(math.log2(scale)))
+
+
 def load_belief(scenario: Scenario, file: str | FilePath | None) -> RoadBelief:
     """Return what `file` says about the scenario's road; nothing is known without such a file.
 
@@ -218,7 +229,7 @@ def load_belief(scenario: Scenario, file: str | FilePath | None) -> RoadBelief:
     """
     if file is not None and (reason := why_unused(scenario.speed)):
         raise ScenarioError(f"{scenario.name}: --road {file} has no effect while {reason}")
-    belief = RoadBelief(build_path(scenario))
+    belief = new_belief(scenario, build_path(scenario))
     known = None if file is None else FilePath(file)
     if known is not None and known.exists():
         try:

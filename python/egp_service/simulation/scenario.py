@@ -30,6 +30,8 @@ from egp_service.vehicle import read_vehicle
 BUILT_IN = resources.files("egp_service.simulation") / "scenarios"
 DEMO_LIBRARY = "demo"
 MAX_DELAY = 100
+# m, of a full-size vehicle.
+_LEAVE = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,8 +181,9 @@ class Scenario:
     """Seed of the measurement noise, and of the track for kind `random`."""
     laps: float = 1.0
     """Number of laps on a closed track."""
-    leave_distance: float = 3.0
-    """Distance from the reference, m, beyond which the run ends."""
+    leave_distance: float | None = None
+    """Distance from the reference, m, beyond which the run ends; by default 3 m times the vehicle's
+    `VehicleParameters.scale`."""
     actuator_delay: int = 0
     """Delay from the command to the wheels, in control periods, in addition to the plant's."""
     speed: Speed = field(default_factory=Speed)
@@ -305,6 +308,18 @@ def vehicle_parameters(scenario: Scenario) -> VehicleParameters:
     return VehicleParameters.commonroad(scenario.vehicle)
 
 
+def leave_distance(scenario: Scenario) -> float:
+    """Return the distance from the reference, m, beyond which the run ends.
+
+    Raises:
+        EgpError: if the scenario's file of a vehicle cannot be used.
+
+    """
+    if scenario.leave_distance is not None:
+        return scenario.leave_distance
+    return _LEAVE * vehicle_parameters(scenario).scale
+
+
 def _one_of(
     friction: float | None, surface: str | dict[str, float] | None, *names: str
 ) -> float | str | dict[str, float] | None:
@@ -337,7 +352,7 @@ def check_scenario(scenario: Scenario, origin: str) -> None:
     positive = {
         "speed.friction": 1.0 if scenario.speed.friction is None else scenario.speed.friction,
         "laps": scenario.laps,
-        "leave_distance": scenario.leave_distance,
+        "leave_distance": 1.0 if scenario.leave_distance is None else scenario.leave_distance,
         **{
             f"zones[{i}].{side}": value
             for i, zone in enumerate(scenario.zones)

@@ -20,29 +20,36 @@ from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from egp_service._core import VehicleParameters
 from egp_service.control.messages import message_class
 from egp_service.control.recorder import MAP, VEHICLE, timestamp
+from egp_service.simulation.course import build_path
+from egp_service.simulation.scenario import vehicle_parameters
 
 if TYPE_CHECKING:
     from google.protobuf.message import Message
     from numpy.typing import NDArray
 
     from egp_service._core import Path
+    from egp_service.simulation.scenario import Scenario
 
-SPACING: Final = 1.0
-FREE: Final = 2.0
-"""Width drawn on each side of a path without edges, m."""
+# Lengths in m, of full-size vehicles: those of smaller ones are in proportion to their scale.
+_SPACING: Final = 1.0
+_FREE: Final = 2.0
+"""Width drawn on each side of a path without edges."""
 # Colours of friction from ice to dry asphalt.
 _FRICTION: Final = np.array([0.1, 0.5, 1.2])
 _COLOURS: Final = np.array([[0.81, 0.90, 0.96], [0.42, 0.61, 0.75], [0.36, 0.37, 0.40]])
 _OVERHANG, _HEIGHT = 1.7, 1.4
-"""Length of the car's body beyond its axles, both ends together, and its height, m."""
+"""Length of the car's body beyond its axles, both ends together, and its height."""
 
 
-def road_scene(path: Path, vehicle: int) -> SceneUpdate:
-    """Return the road, coloured by friction, its edges, the path, and the car of that number.
+def road_scene(scenario: Scenario) -> SceneUpdate:
+    """Return the road, coloured by friction, its edges, the path, and the vehicle.
 
-    The car is drawn in the frame `vehicle`, the road in the frame `map`.
+    The vehicle is drawn in the frame `vehicle`, the road in the frame `map`.
     """
-    centre, lefts, rights, friction = _outline(path)
+    car = vehicle_parameters(scenario)
+    centre, lefts, rights, friction = _outline(build_path(scenario), car.scale)
+    if scenario.plant is None:
+        car = VehicleParameters.commonroad(scenario.vehicle)
     ink = Color(r=0.12, g=0.16, b=0.22, a=1.0)
     white = Color(r=1.0, g=1.0, b=1.0, a=0.9)
     road = SceneEntity(
@@ -53,12 +60,13 @@ def road_scene(path: Path, vehicle: int) -> SceneUpdate:
         lines=[_line(lefts, 2.0, ink), _line(rights, 2.0, ink), _line(centre, 1.0, white)],
         texts=_labels(centre, friction, ink),
     )
-    return SceneUpdate(entities=[road, _car(vehicle)])
+    return SceneUpdate(entities=[road, _car(car)])
 
 
-def vehicle_road(path: Path) -> Message:
+def vehicle_road(scenario: Scenario) -> Message:
     """Return the road as the message `VehicleRoad`, which displays draw."""
-    _, lefts, rights, friction = _outline(path)
+    scale = vehicle_parameters(scenario).scale
+    _, lefts, rights, friction = _outline(build_path(scenario), scale)
     return message_class("VehicleRoad")(
         version=1,
         left_x=lefts[:, 0],
@@ -69,22 +77,21 @@ def vehicle_road(path: Path) -> Message:
     )
 
 
-def _outline(path: Path) -> tuple[NDArray[np.float64], ...]:
+def _outline(path: Path, scale: float) -> tuple[NDArray[np.float64], ...]:
     """Give centre, left and right edge (n, 2) and friction (n,) of a path."""
-    s = np.linspace(0.0, path.length, max(2, 1 + round(path.length / SPACING)))
+    s = np.linspace(0.0, path.length, max(2, 1 + round(path.length / (scale * _SPACING))))
     x, y, yaw, _, left, right, friction = path.sample(s)
     centre, normal = np.column_stack([x, y]), np.column_stack([-np.sin(yaw), np.cos(yaw)])
-    lefts = centre + normal * np.where(np.isfinite(left), left, FREE)[:, None]
-    rights = centre - normal * np.where(np.isfinite(right), right, FREE)[:, None]
+    lefts = centre + normal * np.where(np.isfinite(left), left, scale * _FREE)[:, None]
+    rights = centre - normal * np.where(np.isfinite(right), right, scale * _FREE)[:, None]
     return centre, lefts, rights, friction
 
 
-def _car(vehicle: int) -> SceneEntity:
-    car = VehicleParameters.commonroad(vehicle)
-    ahead = 0.5 * (car.l_f - car.l_r)
-    size = Vector3(x=car.l_f + car.l_r + _OVERHANG, y=car.width, z=_HEIGHT)
+def _car(car: VehicleParameters) -> SceneEntity:
+    ahead, height = 0.5 * (car.l_f - car.l_r), car.scale * _HEIGHT
+    size = Vector3(x=car.l_f + car.l_r + car.scale * _OVERHANG, y=car.width, z=height)
     body = CubePrimitive(
-        pose=Pose(position=Vector3(x=ahead, z=0.5 * _HEIGHT), orientation=Quaternion(w=1.0)),
+        pose=Pose(position=Vector3(x=ahead, z=0.5 * height), orientation=Quaternion(w=1.0)),
         size=size,
         color=Color(r=0.76, g=0.25, b=0.05, a=0.9),
     )

@@ -6,6 +6,7 @@ import csv
 from typing import TYPE_CHECKING, Final
 
 from egp_service.simulation.configuration import ConfigurationError
+from egp_service.simulation.scenario_checks import ScenarioError
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -23,13 +24,18 @@ def read_zone_rows(path: Path) -> list[dict[str, object]]:
 
     Raises:
         ConfigurationError: naming file, line and column of what cannot be read.
-        OSError: if the file cannot be read.
+        ScenarioError: naming the file, if it cannot be read at all.
 
     """
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
         raise ConfigurationError(f"{path}: expected a CSV file in UTF-8") from error
+    except OSError as error:
+        raise ScenarioError(
+            f"zones_file {path}: {error.strerror}; state the path of a CSV file, relative to the "
+            "scenario's file"
+        ) from error
     kept = [(n, line) for n, line in enumerate(lines, 1) if line.strip() and line[0] != "#"]
     if not kept:
         raise ConfigurationError(f"{path}: expected zones with a header such as start,friction")
@@ -40,6 +46,8 @@ def read_zone_rows(path: Path) -> list[dict[str, object]]:
         raise ConfigurationError(
             f"{path}: unknown column {unknown[0]!r}; known: {', '.join((*_NUMBERS, *_NAMES))}"
         )
+    if twice := [name for number, name in enumerate(names) if name in names[:number]]:
+        raise ConfigurationError(f"{path}: column {twice[0]!r} comes twice: remove one of them")
     zones: list[dict[str, object]] = []
     for (line, _), row in zip(kept[1:], rows, strict=True):
         if len(row) != len(names):

@@ -20,7 +20,7 @@ from egp_service.data.channels import MAD
 from egp_service.quantities import GP_OUTPUT, NORMAL_95, NY, NZ
 from egp_service.training.exact_member import START
 from egp_service.training.gaussian_process import Bounds, Hyperparameters, OutputProcess
-from egp_service.training.prior_mean import change, kinematic_change
+from egp_service.training.prior_mean import vehicle_change
 from egp_service.training.sparse import PosteriorMean, average_targets, fit_sparse
 from egp_service.training.subset import select
 from egp_service.training.trained import ScaledData, TrainedMember
@@ -43,7 +43,8 @@ _MEASURED: Final = dataclasses.replace(SMOOTH, noise=1e-6)
 them, so that the noise may be smaller than in a fit."""
 ITERATIONS: Final = 25
 """Iterations of the fit of each output's process."""
-_POINTS: Final = 150  # inducing points at most; smooth functions under noise need few
+MOST_POINTS: Final = 150
+"""Largest number of inducing points; smooth functions under noise need few."""
 _ROWS: Final = 3000  # transitions that the hyperparameters are fitted to
 _OUTLIER: Final = 4.0  # robust standard deviations
 _ROUNDS: Final = 4
@@ -64,11 +65,7 @@ class PriorMean(NamedTuple):
     def predict(self, z: NDArray[np.float64], dt: float) -> NDArray[np.float64]:
         """Change (n, 3) at inputs (n, 6), without the constant."""
         query = torch.from_numpy(z)
-        if self.single_track is not None:
-            return change(query, torch.from_numpy(self.single_track), dt, self.steps).numpy()
-        if self.kinematic is not None:
-            return kinematic_change(query, torch.from_numpy(self.kinematic), dt).numpy()
-        return np.zeros((len(z), NY))
+        return vehicle_change(query, dt, self.single_track, self.steps, self.kinematic).numpy()
 
 
 def average_member(
@@ -112,7 +109,7 @@ def average_member(
         _final((z, y[:, j]), chosen, values[j], settings.kernel, moving=moving, widen=widen[j])
         for j in range(NY)
     ]
-    targets = torch.stack([targets for _, targets in final], dim=1).cpu().numpy()
+    targets = torch.stack([targets for _, targets in final], dim=1).numpy()
     return TrainedMember(
         dataset=data,
         validation=validation,
@@ -173,7 +170,7 @@ def _fit(
 ) -> tuple[NDArray[np.int64], list[Hyperparameters]]:
     """Return the rows of the inducing points and the hyperparameters of each output."""
     z, y = data
-    count = min(_POINTS, settings.max_points, len(rows))
+    count = min(MOST_POINTS, settings.max_points, len(rows))
     processes = []
     for j, name in enumerate(GP_OUTPUT):
         process = OutputProcess(

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from egp_service._core import VehicleParameters
     from egp_service.data.dataset import Dataset
 
-_EARLIEST_FORCE: Final = -1.5  # s; a filtered acceleration is late by its filter
+_EARLIEST_FORCE: Final = -1.52  # s; a filtered acceleration is late by its filter
 _LATEST: Final = 0.32  # s
 _STEP: Final = 0.04  # s
 # Nats by which a delay must predict better than none: per error, and altogether, because the best
@@ -59,7 +59,7 @@ def find_delays(
     """Return the delays that all logs of one car have in common; zero if not identified.
 
     A delay is identified if its optimum lies inside the range that is searched (states 0 to 0.32 s,
-    force -1.5 to 0.32 s), and predicts better than no delay by 0.02 nats per error and 20 nats
+    force -1.52 to 0.32 s), and predicts better than no delay by 0.02 nats per error and 20 nats
     altogether. For the delay of the states the vehicle must also predict the yaw rate better than
     the linear model. If both delays agree within a period, both are their mean, since one sensor
     measures all states. Only runs of at least 2 s count, and delays that leave enough of them.

@@ -131,7 +131,7 @@ def _averaged(
     columns = average_targets(processes, z, [y[:, j].contiguous() for j in range(NY)])
     for process, targets in zip(processes, columns, strict=True):
         process.replace_targets(targets)
-    return torch.stack(columns, dim=1).cpu().numpy()
+    return torch.stack(columns, dim=1).numpy()
 
 
 # The residual of one period is almost linear in z, hence the long lengthscales and little noise.

@@ -9,6 +9,9 @@ of their surface.
 from __future__ import annotations
 
 import dataclasses
+import tempfile
+from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -31,7 +34,6 @@ from egp_service.workers import in_order, workers
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
-    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -124,12 +126,12 @@ def drive_laps(
     surfaces = distinct_surfaces(surfaces)
     grips = np.linspace(*settings.grip, settings.laps)
     first = _FIRST_SEED + round_number * settings.laps
-    scenarios = [
-        _scenario(library, surfaces, first + lap, float(grip)) for lap, grip in enumerate(grips)
-    ]
+    scenarios = [_scenario(surfaces, first + lap, float(grip)) for lap, grip in enumerate(grips)]
+    # The machines of a cluster need not have the file.
+    work = partial(_drive, library.read_bytes())
     driven: list[_Driven] = []
     with workers(jobs, cluster) as pool:
-        for done, lap in enumerate(in_order(pool, _drive, scenarios), start=1):
+        for done, lap in enumerate(in_order(pool, work, scenarios), start=1):
             driven.append(lap)
             report(done, settings.laps)
     datasets = [_on_surface(driven, surface) for surface in surfaces]
@@ -148,7 +150,7 @@ class _Driven:
     friction: NDArray[np.float64]
 
 
-def _scenario(library: Path, surfaces: Sequence[Experiment], seed: int, grip: float) -> Scenario:
+def _scenario(surfaces: Sequence[Experiment], seed: int, grip: float) -> Scenario:
     rng = np.random.default_rng(seed)
     count = int(rng.integers(3, 7))
     starts = [0.0, *np.sort(rng.uniform(0.05, 0.95, count - 1)).tolist()]
@@ -160,7 +162,6 @@ def _scenario(library: Path, surfaces: Sequence[Experiment], seed: int, grip: fl
         name="on-policy",
         track=Track(kind, parameters=measures),
         zones=zones,
-        library=str(library),
         vehicle=surfaces[0].vehicle,
         seed=seed,
         leave_distance=_LEAVE,
@@ -177,8 +178,13 @@ def _zone(start: float, surface: Experiment) -> Zone:
     return Zone(start, surface.friction)
 
 
-def _drive(scenario: Scenario) -> _Driven:
-    trace = drive(scenario, in_process_controller(scenario), lambda _: None).trace
+def _drive(library: bytes, scenario: Scenario) -> _Driven:
+    """Drive the scenario with a library of these bytes."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "library.safetensors"
+        file.write_bytes(library)
+        scenario = dataclasses.replace(scenario, library=str(file))
+        trace = drive(scenario, in_process_controller(scenario), lambda _: None).trace
     return _Driven(trace.x, trace.u, trace.friction)
 
 

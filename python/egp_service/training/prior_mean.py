@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import torch
 
 from egp_service._core import FULL_SIZE, GRAVITY, MIN_SLIP_SPEED
+from egp_service.quantities import NY
 
 if TYPE_CHECKING:
     import numpy as np
@@ -145,3 +146,18 @@ def kinematic_change(z: torch.Tensor, parameters: torch.Tensor, dt: float) -> to
     gain = dt * force / mass
     after = (v_x + gain) * torch.tan(delta + dt * delta_dot) / (l_f + l_r)
     return torch.stack([gain, l_r * after - v_y, after - omega], dim=-1)
+
+
+def vehicle_change(
+    z: torch.Tensor,
+    dt: float,
+    single_track: NDArray[np.float64] | None,
+    steps: int,
+    kinematic: NDArray[np.float64] | None,
+) -> torch.Tensor:
+    """Change (n, 3) by `change` or `kinematic_change`, whose parameters are given; zero without."""
+    if single_track is not None:
+        return change(z, z.new_tensor(single_track), dt, steps)
+    if kinematic is not None:
+        return kinematic_change(z, z.new_tensor(kinematic), dt)
+    return z.new_zeros((len(z), NY))

@@ -38,8 +38,12 @@ def fit_sparse(
     The inputs of `process` are the inducing points. `report` gets the iteration and the negative
     bound on the log marginal likelihood per transition, which is minimised.
 
+    If the data contain nothing for the process to learn, the bound is flat towards infinite
+    lengthscales and a vanishing scale, where the covariance cannot be factorised. The fit then ends
+    at the hyperparameters where the step began that led there.
+
     Raises:
-        EgpError: if the bound is not finite.
+        EgpError: if the bound at the start is not finite.
 
     """
     parameters = list(process.parameters())
@@ -47,30 +51,42 @@ def fit_sparse(
         parameters, max_iter=1, history_size=10, line_search_fn="strong_wolfe"
     )
     found: tuple[torch.Tensor, torch.Tensor] | None = None
+    # Where the last step began whose bound there is finite.
+    good: torch.Tensor | None = None
+    begins = True
 
     def negative_bound() -> torch.Tensor:
-        nonlocal found
+        nonlocal found, good, begins
         # Each step begins where the line search of the step before ended, whose loss and gradients
         # are still there.
         point = torch.cat([parameter.detach().flatten() for parameter in parameters])
-        if found is not None and torch.equal(point, found[0]):
-            return found[1]
-        optimiser.zero_grad()
-        loss = -_bound(process, z, y) / len(y)
-        loss.backward()  # type: ignore[no-untyped-call]
-        found = point, loss
-        return loss
+        if found is None or not torch.equal(point, found[0]):
+            optimiser.zero_grad()
+            loss = -_bound(process, z, y) / len(y)
+            loss.backward()  # type: ignore[no-untyped-call]
+            found = point, loss
+        if begins and torch.isfinite(found[1]):
+            good, begins = point, False
+        return found[1]
 
     with exact():
         for iteration in range(iterations):
-            step = optimiser.step(negative_bound)  # type: ignore[no-untyped-call]
-            loss = float(step.detach())
-            report(iteration, loss)
-            if not math.isfinite(loss):
+            begins = True
+            try:
+                step = optimiser.step(negative_bound)  # type: ignore[no-untyped-call]
+                loss = float(step.detach())
+            except torch.linalg.LinAlgError:  # type: ignore[attr-defined]
+                loss = math.nan
+            if math.isfinite(loss):
+                report(iteration, loss)
+                continue
+            if good is None:
                 raise EgpError(
                     "the likelihood of a sparse process is not finite; look for constant or "
                     "duplicate columns in the data"
                 )
+            torch.nn.utils.vector_to_parameters(good, parameters)
+            return
 
 
 class PosteriorMean:
@@ -117,7 +133,7 @@ def _factor(process: OutputProcess) -> torch.Tensor:
     """Cholesky factor L of the covariance of the inducing points."""
     K = process.covar_module(process.inputs).to_dense()
     prior = process.covar_module.outputscale
-    eye = torch.eye(len(K), dtype=K.dtype, device=K.device)
+    eye = torch.eye(len(K), dtype=K.dtype)
     factor: torch.Tensor = torch.linalg.cholesky(K + _JITTER * prior * eye)
     return factor
 
@@ -131,7 +147,7 @@ def _whitened(process: OutputProcess, L: torch.Tensor, z: torch.Tensor) -> torch
 
 def _factor_of_one_and(square: torch.Tensor) -> torch.Tensor:
     """Cholesky factor of `B = I + A Aᵀ / s²`, given the second term (M, M)."""
-    eye = torch.eye(len(square), dtype=square.dtype, device=square.device)
+    eye = torch.eye(len(square), dtype=square.dtype)
     factor: torch.Tensor = torch.linalg.cholesky(eye + square)
     return factor
 

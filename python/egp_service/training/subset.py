@@ -101,7 +101,7 @@ def select(
                 group.observe(chosen[k : k + _BLOCK])
         while len(chosen) < count:
             expected = sum(group.outputs * group.variance for group in groups)
-            weight = expected.cpu().numpy().clip(0.0)
+            weight = expected.numpy().clip(0.0)
             weight[chosen] = 0.0
             if left_out is not None:
                 weight[left_out] = 0.0
@@ -136,7 +136,7 @@ def _accepted(
     rng: np.random.Generator,
 ) -> NDArray[np.int64]:
     """Accept each row with the ratio of its variance, given those accepted, to its `weight`."""
-    inner = np.stack([group.covariance(proposed, proposed).cpu().numpy() for group in groups])
+    inner = np.stack([group.covariance(proposed, proposed).numpy() for group in groups])
     noise = np.array([group.noise for group in groups])
     outputs = np.array([group.outputs for group in groups])
     accepted: list[int] = []

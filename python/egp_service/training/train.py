@@ -23,6 +23,7 @@ from egp_service.data.dataset import Dataset, check_one_car, merge
 from egp_service.data.experiment import check_seed
 from egp_service.data.plausibility import HEAVIEST, LARGEST
 from egp_service.quantities import GP_INPUT, GP_OUTPUT, NZ
+from egp_service.training.average_member import MOST_POINTS
 from egp_service.training.choice import BUDGET, best_member, blocks_to_compare
 from egp_service.training.delays import find_delays
 from egp_service.training.exact_member import exact_member, spread
@@ -54,8 +55,8 @@ class TrainingSettings:
     """Prior mean of the GPs: a vehicle fitted to the surface, or constants as in the paper.
 
     With "best" each member takes the kind of `choice.KINDS` that predicts held-out blocks best. Its
-    processes are sparse (`average_member`): they have at most 150 transitions, and `first_points`,
-    `restarts` and `max_iterations` do not apply.
+    processes are sparse (`average_member`), and `first_points`, `restarts` and `max_iterations` do
+    not apply.
 
     The residuals of a vehicle are small and hardly determine the kernels, so with "single-track"
     all (z-scored) outputs share one kernel and noise, which halves the time of a prediction. With
@@ -63,7 +64,7 @@ class TrainingSettings:
     """
     max_points: int = 400
     """Largest number of transitions of a member, at most 5000, as in a library; the control step's
-    time grows with it."""
+    time grows with it. With "best" it is at most 150, also by default."""
     first_points: int = 400
     """Number of random transitions of the first fit, whose lengthscales choose the final ones."""
     restarts: int = 1
@@ -102,6 +103,12 @@ class TrainingSettings:
             raise EgpError(
                 f"max_points is {self.max_points}: expected at most {_MOST_POINTS}, as many as a "
                 "library holds for a member"
+            )
+        stated = self.max_points != type(self).max_points
+        if self.mean == "best" and stated and self.max_points > MOST_POINTS:
+            raise EgpError(
+                f"max_points is {self.max_points}: expected at most {MOST_POINTS} with the mean "
+                "'best', whose processes are sparse; state fewer, or another mean"
             )
         if not (0.0 < self.validation_fraction < 1.0):
             raise EgpError(

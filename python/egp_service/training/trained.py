@@ -10,8 +10,8 @@ import numpy as np
 import torch
 
 from egp_service.quantities import NY, NZ
-from egp_service.training import prior_mean
 from egp_service.training.gaussian_process import exact
+from egp_service.training.prior_mean import vehicle_change
 from egp_service.training.threads import one_thread
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ class ScaledData:
     """Inputs and targets of n transitions, less their means and over their standard deviations."""
 
     z: torch.Tensor
-    """Z-scored inputs (n, 6) in float64, on the graphics card if there is one."""
+    """Z-scored inputs (n, 6) in float64."""
     y: torch.Tensor
     """Z-scored targets (n, 3), likewise."""
     input_mean: NDArray[np.float64]
@@ -54,12 +54,9 @@ class ScaledData:
     ) -> ScaledData:
         """Scale inputs (n, 6) by their statistics, and targets (n, 3) by the given ones (3,)."""
         mean, std = z.mean(axis=0), z.std(axis=0)
-        device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
         return ScaledData(
-            z=torch.tensor((z - mean) / std, dtype=torch.float64, device=device),
-            y=torch.tensor(
-                (targets - target_mean) / target_std, dtype=torch.float64, device=device
-            ),
+            z=torch.tensor((z - mean) / std, dtype=torch.float64),
+            y=torch.tensor((targets - target_mean) / target_std, dtype=torch.float64),
             input_mean=mean,
             input_std=std,
             target_mean=target_mean,
@@ -110,7 +107,7 @@ class TrainedMember:
     def predict_mean(self, z: NDArray[np.float64]) -> NDArray[np.float64]:
         """Mean (n, 3) at z (n, 6), physical units."""
         with torch.no_grad():
-            query = torch.tensor(z, dtype=torch.float64, device=self.processes[0].inputs.device)
+            query = torch.tensor(z, dtype=torch.float64)
             mean = self._vehicle_change(query)
             scaled = (query - query.new_tensor(self.input_mean)) / query.new_tensor(self.input_std)
             covariance: dict[torch.nn.Module, torch.Tensor] = {}
@@ -122,7 +119,7 @@ class TrainedMember:
                     self.alpha[j]
                 )
                 mean[:, j] += f * self.target_std[j] + self.target_mean[j]
-        return np.asarray(mean.cpu().numpy())
+        return np.asarray(mean.numpy())
 
     @functools.cached_property
     def alpha(self) -> NDArray[np.float64]:
@@ -134,7 +131,7 @@ class TrainedMember:
                 K = process.covar_module(z).to_dense()
                 K.diagonal().add_(process.likelihood.noise)
                 y = process.train_targets - process.mean_module(z)
-                rows.append(torch.cholesky_solve(y[:, None], torch.linalg.cholesky(K))[:, 0].cpu())
+                rows.append(torch.cholesky_solve(y[:, None], torch.linalg.cholesky(K))[:, 0])
         return torch.stack(rows).numpy()
 
     @property
@@ -146,11 +143,7 @@ class TrainedMember:
     def _vehicle_change(self, z: torch.Tensor) -> torch.Tensor:
         """Change (n, 3) that the prior mean's vehicle predicts at z (n, 6); zero without one."""
         dt = self.dataset.provenance.dt
-        if self.single_track is not None:
-            return prior_mean.change(z, z.new_tensor(self.single_track), dt, self.steps)
-        if self.kinematic is not None:
-            return prior_mean.kinematic_change(z, z.new_tensor(self.kinematic), dt)
-        return z.new_zeros((len(z), NY))
+        return vehicle_change(z, dt, self.single_track, self.steps, self.kinematic)
 
     def predict(
         self, z: NDArray[np.float64]
@@ -167,8 +160,7 @@ class TrainedMember:
     def _predict_block(
         self, z: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        device = self.processes[0].inputs.device
-        query = torch.tensor(z, dtype=torch.float64, device=device, requires_grad=True)
+        query = torch.tensor(z, dtype=torch.float64, requires_grad=True)
         scaled = (query - query.new_tensor(self.input_mean)) / query.new_tensor(self.input_std)
         mean, variance = np.empty((len(z), NY)), np.empty((len(z), NY))
         jacobian = np.empty((len(z), NY, NZ))
@@ -180,7 +172,7 @@ class TrainedMember:
                 # Row i of the mean depends on row i of the query only, so one backward pass of
                 # the sum gives the gradients of all rows.
                 (gradient,) = torch.autograd.grad(f.sum(), query, retain_graph=True)
-                mean[:, j] = f.detach().cpu().numpy()
-                variance[:, j] = posterior.variance.detach().cpu().numpy() * self.target_std[j] ** 2
-                jacobian[:, j] = gradient.cpu().numpy()
+                mean[:, j] = f.detach().numpy()
+                variance[:, j] = posterior.variance.detach().numpy() * self.target_std[j] ** 2
+                jacobian[:, j] = gradient.numpy()
         return mean, jacobian, variance

@@ -171,7 +171,7 @@ fn phases(c: &mut Criterion, library: &Library) {
             &x0,
             &guess,
             &settings.operating,
-            &Domain::new(&settings.operating, 60.0, 0.91),
+            &Domain::new(&settings.operating, 60.0, library.vehicle()),
         )
     };
     linearise();

@@ -1,5 +1,6 @@
 //! Linearisation of the ensemble along an operating trajectory, eqs. (15)-(17), in closed form.
 
+use egp_parameters::VehicleParameters;
 use nalgebra::SMatrix;
 
 use crate::settings::{Operating, OperatingSettings};
@@ -43,13 +44,14 @@ pub struct Domain {
 }
 
 impl Domain {
-    /// The box of the settings, with the largest speed `v_x_max` in m/s and the largest steering angle in rad.
-    pub fn new(settings: &OperatingSettings, v_x_max: f64, steering_angle: f64) -> Self {
+    /// The box of the settings for a vehicle, with the largest speed `v_x_max` in m/s.
+    pub fn new(settings: &OperatingSettings, v_x_max: f64, vehicle: &VehicleParameters) -> Self {
+        let [v_x_min, v_y, omega] = settings.limits(vehicle.scale());
         Self {
-            v_x: (settings.v_x_min, v_x_max.max(settings.v_x_min)),
-            v_y: settings.v_y,
-            omega: settings.omega,
-            delta: steering_angle,
+            v_x: (v_x_min, v_x_max.max(v_x_min)),
+            v_y,
+            omega,
+            delta: vehicle.steering_angle,
         }
     }
 

@@ -58,5 +58,5 @@ pub use fleet::{
 };
 pub use in_process::{Answer, InProcessDriver};
 pub use measurement::{InvalidArgument, Measurement};
-pub use situation::{Lost, Situation};
+pub use situation::{Lost, Outside, Situation};
 pub use step::{Late, Outcome, Step};

@@ -7,7 +7,7 @@ use egp_wire::{GpInput, ReferenceRow, State};
 
 /// Largest distance from the envelope at which the library's prediction is still used, in half widths.
 pub(crate) const MAX_ENVELOPE: f64 = 0.4;
-/// Largest distance from the reference, m.
+/// Largest distance of a full-size vehicle from the reference, m. That of smaller ones is in proportion to their scale.
 pub(crate) const MAX_DISTANCE: f64 = 25.0;
 /// Largest angle between the vehicle's and the reference's heading, rad.
 pub(crate) const MAX_HEADING: f64 = FRAC_PI_2;
@@ -25,15 +25,30 @@ pub struct Situation {
     pub distance: f64,
     /// Angle from the reference's heading to the vehicle's, rad, in (-π, π].
     pub heading: f64,
+    /// The component that is farthest from the envelope.
+    farthest: Outside,
+}
+
+/// A component of the state outside the training data of the library.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Outside {
+    /// Its name.
+    pub name: &'static str,
+    /// Its unit.
+    pub unit: &'static str,
+    /// Its value.
+    pub value: f64,
+    /// The smallest and the largest value in the training data.
+    pub data: [f64; 2],
 }
 
 /// Why a vehicle counts as lost.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Lost {
-    /// Its state is this many half widths of the envelope outside the training data of the library.
-    Envelope(f64),
-    /// Its distance from the reference, m, which is too large.
-    Distance(f64),
+    /// Its state is too far outside the training data of the library.
+    Envelope(Outside),
+    /// Its distance from the reference, m, which is too large, and the largest one that is allowed.
+    Distance(f64, f64),
     /// The angle between its yaw and the reference's, rad, which is too large.
     Heading(f64),
 }
@@ -41,14 +56,24 @@ pub enum Lost {
 impl fmt::Display for Lost {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Envelope(distance) => write!(
+            Self::Envelope(Outside {
+                name,
+                unit,
+                value,
+                data: [low, high],
+            }) => {
+                let beyond = 0.5 * MAX_ENVELOPE * (high - low);
+                write!(
+                    f,
+                    "the vehicle is lost: {name} is {value:.3} {unit}, and with this library it may be {:.3} to {:.3} {unit}, \
+                     because the training data have {low:.3} to {high:.3} {unit}",
+                    low - beyond,
+                    high + beyond
+                )
+            }
+            Self::Distance(distance, allowed) => write!(
                 f,
-                "the vehicle is lost: its state lies {distance:.2} half widths outside the library's training data, \
-                 {MAX_ENVELOPE} are allowed"
-            ),
-            Self::Distance(distance) => write!(
-                f,
-                "the vehicle is lost: it is {distance:.1} m from the reference, {MAX_DISTANCE} m are allowed"
+                "the vehicle is lost: it is {distance:.1} m from the reference, {allowed:.3} m are allowed"
             ),
             Self::Heading(angle) => write!(
                 f,
@@ -65,27 +90,43 @@ impl Situation {
     pub(crate) fn new(x: &State, first: &ReferenceRow, envelope: &[GpInput; 2]) -> Self {
         let [p_x, p_y, v_x, psi, v_y, omega, delta] = *x;
         let [low, high] = envelope;
-        let motion = [v_x, v_y, omega, delta];
-        let excess = motion
-            .iter()
-            .zip(low.iter().zip(high))
-            .map(|(value, (low, high))| {
-                let half = 0.5 * (high - low);
-                ((value - 0.5 * (low + high)).abs() - half) / half
-            });
+        let motion = [
+            ("v_x", "m/s", v_x),
+            ("v_y", "m/s", v_y),
+            ("omega", "rad/s", omega),
+            ("delta", "rad", delta),
+        ];
+        let mut farthest = (f64::NEG_INFINITY, Outside::default());
+        for ((name, unit, value), (low, high)) in motion.into_iter().zip(low.iter().zip(high)) {
+            let half = 0.5 * (high - low);
+            let excess = ((value - 0.5 * (low + high)).abs() - half) / half;
+            if excess > farthest.0 {
+                let data = [*low, *high];
+                farthest = (
+                    excess,
+                    Outside {
+                        name,
+                        unit,
+                        value,
+                        data,
+                    },
+                );
+            }
+        }
         Self {
-            envelope_distance: excess.fold(0.0, f64::max),
+            envelope_distance: farthest.0.max(0.0),
+            farthest: farthest.1,
             distance: (p_x - first[0]).hypot(p_y - first[1]),
             heading: wrap(psi - first[3]),
         }
     }
 
-    /// The first limit that the situation exceeds.
-    fn beyond(&self) -> Option<Lost> {
+    /// The first limit that the situation exceeds, with the largest distance that is allowed, m.
+    fn beyond(&self, allowed: f64) -> Option<Lost> {
         if self.envelope_distance > MAX_ENVELOPE {
-            Some(Lost::Envelope(self.envelope_distance))
-        } else if self.distance > MAX_DISTANCE {
-            Some(Lost::Distance(self.distance))
+            Some(Lost::Envelope(self.farthest))
+        } else if self.distance > allowed {
+            Some(Lost::Distance(self.distance, allowed))
         } else if self.heading.abs() > MAX_HEADING {
             Some(Lost::Heading(self.heading))
         } else {
@@ -95,16 +136,37 @@ impl Situation {
 }
 
 /// Counts the successive periods that a vehicle spends beyond a limit, and remembers why it was lost.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 pub(crate) struct LostDetector {
+    /// Largest distance from the reference that is allowed, m.
+    allowed: f64,
     periods: u32,
     lost: Option<Lost>,
 }
 
 impl LostDetector {
+    /// For a vehicle of this [scale](egp_parameters::VehicleParameters::scale).
+    pub(crate) fn new(scale: f64) -> Self {
+        Self {
+            allowed: scale * MAX_DISTANCE,
+            periods: 0,
+            lost: None,
+        }
+    }
+
+    /// Forgets what was noted.
+    pub(crate) fn reset(&mut self) {
+        (self.periods, self.lost) = (0, None);
+    }
+
+    /// A period without a usable reference ends a succession of periods beyond a limit.
+    pub(crate) fn skip(&mut self) {
+        self.periods = 0;
+    }
+
     /// Notes the situation of a period. Returns [`LostDetector::lost`].
     pub(crate) fn observe(&mut self, situation: &Situation) -> Option<Lost> {
-        let beyond = situation.beyond();
+        let beyond = situation.beyond(self.allowed);
         self.periods = if beyond.is_some() {
             self.periods + 1
         } else {
@@ -171,7 +233,7 @@ mod tests {
     fn a_vehicle_is_lost_from_the_third_period_beyond_a_limit_on() {
         let spin = situation([1.0, 2.0, 10.0, 3.0, -9.0, 0.0, 0.0]);
         let fine = situation([1.0, 2.0, 10.0, 3.0, 0.0, 0.0, 0.0]);
-        let mut detector = LostDetector::default();
+        let mut detector = LostDetector::new(1.0);
         let verdicts: Vec<bool> = [spin, spin, fine, spin, spin, spin, spin, fine]
             .iter()
             .map(|situation| detector.observe(situation).is_some())
@@ -182,7 +244,11 @@ mod tests {
         );
         let far = situation([60.0, 2.0, 10.0, 3.0, 0.0, 0.0, 0.0]);
         let reason = detector.observe(&far);
-        assert_eq!(reason, spin.beyond(), "the first reason is kept");
+        assert_eq!(
+            reason,
+            spin.beyond(MAX_DISTANCE),
+            "the first reason is kept"
+        );
         assert_eq!(reason, detector.lost());
     }
 
@@ -204,18 +270,42 @@ mod tests {
         assert_eq!(distance.distance, MAX_DISTANCE);
         assert_eq!(heading.heading, MAX_HEADING);
         for at in [envelope, distance, heading] {
-            assert_eq!(at.beyond(), None);
+            assert_eq!(at.beyond(MAX_DISTANCE), None);
+        }
+    }
+
+    #[test]
+    fn a_small_vehicle_is_lost_nearer_to_its_reference() {
+        let far = situation([6.0, 2.0, 10.0, 3.0, 0.0, 0.0, 0.0]);
+        let mut detector = LostDetector::new(0.125);
+        let lost = [far; 3].map(|far| detector.observe(&far));
+        assert_eq!(lost, [None, None, Some(Lost::Distance(5.0, 3.125))]);
+    }
+
+    #[test]
+    fn only_successive_periods_count() {
+        let far = situation([60.0, 2.0, 10.0, 3.0, 0.0, 0.0, 0.0]);
+        let mut detector = LostDetector::new(1.0);
+        for _ in 0..3 {
+            assert_eq!(detector.observe(&far), None);
+            assert_eq!(detector.observe(&far), None);
+            detector.skip();
         }
     }
 
     #[test]
     fn every_limit_is_told_by_name() {
         for (x, word) in [
-            ([1.0, 2.0, 10.0, 3.0, -9.0, 0.0, 0.0], "training data"),
+            (
+                [1.0, 2.0, 10.0, 3.0, -9.0, 0.0, 0.0],
+                "v_y is -9.000 m/s, and with this library it may be -8.000 to 6.000 m/s, because the training data have -6.000",
+            ),
             ([30.0, 2.0, 10.0, 3.0, 0.0, 0.0, 0.0], "29.0 m from"),
             ([1.0, 2.0, 10.0, 1.0, 0.0, 0.0, 0.0], "yaw"),
         ] {
-            let lost = situation(x).beyond().map(|lost| lost.to_string());
+            let lost = situation(x)
+                .beyond(MAX_DISTANCE)
+                .map(|lost| lost.to_string());
             assert!(
                 lost.as_ref().is_some_and(|text| text.contains(word)),
                 "{lost:?}"

@@ -12,6 +12,8 @@ use crate::recent::Recent;
 use crate::reported::Reported;
 use crate::tile::TILE_CELLS;
 
+// The lengths are those of roads of full-size vehicles, and are multiplied by the scale of a belief.
+
 /// Length of a cell in m, at most.
 const CELL: f64 = 2.0;
 /// Stretch in m behind the first and ahead of the last planned place whose evidence counts. It limits the computing time.
@@ -33,6 +35,8 @@ const JUMP: f64 = 100.0;
 const DEFAULT_WINDOW: usize = 25;
 /// Longest window, in transitions.
 const WINDOW: f64 = 1000.0;
+/// Smallest scale: cells of 2 cm.
+const SMALLEST: f64 = 0.01;
 
 /// Mean distance in m between changes of the surface.
 pub(crate) const CHANGE_DISTANCE: f64 = 200.0;
@@ -44,7 +48,7 @@ const CAPACITY: f64 = 6.0;
 /// Logarithm of the likelihood ratio in nats up to which a window does not tell coefficients apart.
 const INDIFFERENCE: f64 = 0.25;
 
-/// Belief about the friction of a road, from evidence in cells of at most 2 m.
+/// Belief about the friction of a road, from evidence in cells of at most 2 m, or shorter ones ([`Self::with_scale`]).
 ///
 /// The friction is a Markov chain along the cells: from one cell to the next it stays, or with probability
 /// `1 - exp(-cell / 200 m)` is drawn anew from the uniform prior. Each cell has the likelihood of what was
@@ -58,6 +62,8 @@ pub struct RoadBelief {
     closed: bool,
     /// Points of the road with equal distances in m, by which it is told from others; may be empty.
     pub(crate) shape: Vec<[f64; 2]>,
+    /// Factor of all lengths of the belief, 1 on roads of full-size vehicles.
+    scale: f64,
     pub(crate) cell: f64,
     /// Where the vehicle was at the starts of the last periods, newest last.
     pub(crate) track: VecDeque<f64>,
@@ -99,6 +105,7 @@ impl RoadBelief {
             grid: Grid::new(),
             closed,
             shape: Vec::new(),
+            scale: 1.0,
             cell: length / cells,
             track: VecDeque::with_capacity(DEFAULT_WINDOW + 1),
             evidence: vec![[0.0; _]; cells as usize],
@@ -110,6 +117,46 @@ impl RoadBelief {
             forward: Vec::new(),
             backward: Vec::new(),
         })
+    }
+
+    /// A belief without evidence about the same road, for vehicles of this
+    /// [scale](egp_parameters::VehicleParameters::scale), by which all lengths are multiplied: cells, patches, the distance
+    /// between changes of the surface, and that within which a vehicle cannot react.
+    ///
+    /// Only beliefs of the same scale exchange tiles and files.
+    ///
+    /// # Errors
+    /// [`BeliefError`] unless the scale is 0.01 to 1.
+    pub fn with_scale(mut self, scale: f64) -> Result<Self, BeliefError> {
+        if !(SMALLEST..=1.0).contains(&scale) {
+            return Err(BeliefError {
+                name: "scale",
+                expected: "0.01 to 1",
+                value: scale,
+            });
+        }
+        let length = self.length();
+        self.scale = scale;
+        let cells = (length / self.longest_cell()).ceil();
+        self.cell = length / cells;
+        self.evidence = vec![[0.0; _]; cells as usize];
+        self.likelihood = vec![[1.0; _]; cells as usize];
+        Ok(self)
+    }
+
+    /// The factor of all lengths of the belief.
+    pub fn scale(&self) -> f64 {
+        self.scale
+    }
+
+    /// The largest length in m that its cells may have, 2 m times the scale. A road is divided into as few cells as this permits.
+    pub fn longest_cell(&self) -> f64 {
+        self.scale * CELL
+    }
+
+    /// A length in m of full-size vehicles as a number of cells.
+    pub(crate) fn cells_of(&self, length: f64) -> f64 {
+        self.scale * length / self.cell
     }
 
     /// Number of transitions from which a control step estimates the friction.
@@ -207,7 +254,7 @@ impl RoadBelief {
     /// Whether the vehicle is farther from its last place than it can drive in a period.
     fn jumped(&self, s: f64) -> bool {
         let last = self.track.back();
-        last.is_some_and(|last| (s - self.near(*last, s)).abs() > JUMP)
+        last.is_some_and(|last| (s - self.near(*last, s)).abs() > self.scale * JUMP)
     }
 
     /// Forgets where the vehicle was, for instance after it was moved; what was stored remains.
@@ -269,10 +316,10 @@ impl RoadBelief {
         }
     }
 
-    /// The number of cells within `reach` m on either side of a cell, and the largest number of cells whose messages may be
-    /// computed at once from evidence up to `reach` m beyond them: on a lap no evidence may count twice.
+    /// The number of cells within `reach` m, times the scale, on either side of a cell, and the largest number of cells whose
+    /// messages may be computed at once from evidence up to there: on a lap no evidence may count twice.
     pub(crate) fn reach(&self, reach: f64) -> (i64, i64) {
-        let reach = self.within((reach / self.cell).ceil());
+        let reach = self.within(self.cells_of(reach).ceil());
         if !self.closed {
             return (reach, i64::MAX);
         }
@@ -292,7 +339,7 @@ impl RoadBelief {
 
     /// Computes the messages of the cells `first..=last` from a layer's evidence up to `reach` cells beyond them.
     pub(crate) fn smooth(&mut self, layer: Layer, first: i64, last: i64, reach: i64) {
-        let change = 1.0 - (-self.cell / CHANGE_DISTANCE).exp();
+        let change = 1.0 - (-self.cell / (self.scale * CHANGE_DISTANCE)).exp();
         let (mut forward, mut backward) = (take(&mut self.forward), take(&mut self.backward));
         let cells = (last - first + 1) as usize;
         for messages in [&mut forward, &mut backward] {

@@ -68,10 +68,11 @@ impl RoadBelief {
         let Some((from, to)) = self.between(*from, *to) else {
             return;
         };
-        if self.reported.is_none() || to - from > REACH {
+        if self.reported.is_none() || to - from > self.scale() * REACH {
             return;
         }
-        let (first, last) = (self.index(from - BLUR), self.index(to + BLUR));
+        let blur = self.scale() * BLUR;
+        let (first, last) = (self.index(from - blur), self.index(to + blur));
         let mut stated = self.masses_of(Layer::Reported, first, last, REACH, 0.0);
         stated.iter_mut().for_each(to_probabilities);
         let window = self.window;

@@ -12,7 +12,8 @@ const TENSOR: &str = "evidence";
 const SCHEMA: &str = "egp-road-belief-3";
 /// Largest difference in m between the length of a road and that of a file.
 const SAME: f64 = 1e-3;
-/// Largest distance in m between the points of a road and those of a file: more than rounding, less than a lane.
+/// Largest distance in m between the points of a road and those of a file, times the scale: more than rounding, less than a
+/// lane.
 const SAME_PLACE: f64 = 0.5;
 
 /// Why bytes cannot be recalled as a belief about a road.
@@ -120,6 +121,13 @@ impl RoadBelief {
         self.check_shape(&shape)?;
         let tensors = SafeTensors::deserialize(bytes)?;
         let tensor = tensors.tensor(TENSOR)?;
+        if let [others, LEVELS] = *tensor.shape()
+            && others != cells
+        {
+            return Err(content(&format!(
+                "it has {others} cells, this belief has {cells}: it was made with another scale"
+            )));
+        }
         if tensor.dtype() != Dtype::F64 || tensor.shape() != [cells, LEVELS] {
             return Err(content(&format!(
                 "expected {TENSOR} of f64 [{cells}, {LEVELS}], got {:?} {:?}",
@@ -159,7 +167,9 @@ impl RoadBelief {
             .enumerate()
             .max_by(|(_, a), (_, b)| a.total_cmp(b))
         {
-            Some((place, distance)) if distance > SAME_PLACE || distance.is_nan() => {
+            Some((place, distance))
+                if distance > self.scale() * SAME_PLACE || distance.is_nan() =>
+            {
                 Err(StoredBeliefError::OtherShape {
                     length: self.length(),
                     s: self.length() * place as f64 / points as f64,

@@ -75,7 +75,7 @@ impl RoadBelief {
         self.smooth(layer, first, last, reach);
         let cells = (last - first + 1) as usize;
         let side = if patch > 0.0 {
-            self.within((PATCH / self.cell).round())
+            self.within(self.cells_of(PATCH).round())
         } else {
             0
         };

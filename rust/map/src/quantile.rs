@@ -24,7 +24,7 @@ impl RoadBelief {
             step * friction.len() as f64,
         )?;
         probability("risk", risk)?;
-        let blur = (BLUR / self.cell).round() as i64;
+        let blur = self.cells_of(BLUR).round() as i64;
         let first = self.index(start) - blur;
         let last = self.index(start + step * friction.len().saturating_sub(1) as f64) + blur;
         let patch = 1.0 - (-COMMITMENT / CHANGE_DISTANCE).exp();

@@ -70,13 +70,16 @@ pub const MIN_SLIP_SPEED: f64 = 3.0;
 pub const FULL_SIZE: f64 = 2.0;
 
 /// The lowest speed, m/s, at which slip angles of a vehicle with this distance of its axles (m) are computed:
-/// [`MIN_SLIP_SPEED`], and for vehicles shorter than [`FULL_SIZE`] proportional to the square root of that distance, as the
-/// speeds of vehicles of similar shape are (Froude's law).
+/// [`MIN_SLIP_SPEED`] times the square root of the [scale](VehicleParameters::scale).
 ///
 /// Below it the equations of single-track vehicles use this speed in place of `v_x`, and the bound on the slip is left out,
 /// because slip angles are not defined at standstill.
 pub fn slip_speed(wheelbase: f64) -> f64 {
-    MIN_SLIP_SPEED * (wheelbase / FULL_SIZE).min(1.0).sqrt()
+    MIN_SLIP_SPEED * scale(wheelbase).sqrt()
+}
+
+fn scale(wheelbase: f64) -> f64 {
+    (wheelbase / FULL_SIZE).min(1.0)
 }
 
 /// Smallest and largest yaw inertia, as a multiple of `mass l_f l_r`. For most vehicles the multiple is about 1.
@@ -158,6 +161,15 @@ impl VehicleParameters {
             (INERTIAS.0 * usual, INERTIAS.1 * usual),
             " for this mass and these distances to the axles",
         )
+    }
+
+    /// The size of this vehicle relative to a full-size one: `(l_f + l_r) / 2 m`, at most 1.
+    ///
+    /// On the same surfaces vehicles of similar shape have the same accelerations. Their lengths are proportional to the scale,
+    /// times and speeds to its square root, and yaw rates to one over it (Froude's law). Defaults that are lengths, speeds or
+    /// weights of such quantities are chosen for full-size vehicles and follow the scale.
+    pub fn scale(&self) -> f64 {
+        scale(self.l_f + self.l_r)
     }
 
     /// The [`slip_speed`] of this vehicle, m/s.

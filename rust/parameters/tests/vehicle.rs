@@ -119,7 +119,7 @@ fn model_cars_karts_lorries_and_racing_cars_are_vehicles() {
 
 #[test]
 fn the_slip_speed_of_small_vehicles_follows_froudes_law() {
-    assert_eq!(CAR.slip_speed(), 3.0);
+    assert_eq!((CAR.scale(), CAR.slip_speed()), (1.0, 3.0));
     assert_eq!(slip_speed(FULL_SIZE), 3.0);
     // A car of a quarter of the size drives at half the speed.
     assert_eq!(slip_speed(FULL_SIZE / 4.0), 1.5);

@@ -85,15 +85,22 @@ pub struct RoadBelief(pub egp_map::RoadBelief);
 #[pymethods]
 impl RoadBelief {
     #[new]
-    #[pyo3(signature = (path, *, window = 25))]
-    fn new(path: &Path, window: usize) -> PyResult<Self> {
+    #[pyo3(signature = (path, *, window = 25, scale = 1.0))]
+    fn new(path: &Path, window: usize, scale: f64) -> PyResult<Self> {
         let path = &path.0;
         let place = |i| path.sample(path.length() * i as f64 / SHAPE_POINTS as f64);
         let points = (0..SHAPE_POINTS).map(place).map(|at| [at.x, at.y]);
         egp_map::RoadBelief::new(path.length(), path.closed())
+            .and_then(|belief| belief.with_scale(scale))
             .and_then(|mut belief| belief.set_window(window).map(|()| belief))
             .map(|belief| Self(belief.with_shape(points.collect())))
             .map_err(InvalidArgumentError::raise)
+    }
+
+    #[doc = doc!(RoadBelief.scale)]
+    #[getter]
+    fn scale(&self) -> f64 {
+        self.0.scale()
     }
 
     #[doc = doc!(RoadBelief.window)]

@@ -11,7 +11,10 @@ use crate::service::after_signal;
 #[pyfunction]
 pub fn serve_map(py: Python<'_>, config_toml: &str) -> PyResult<()> {
     let config = MapConfig::from_toml(config_toml).map_err(raise)?;
-    let ended = py.detach(|| egp_service::map::serve_map(&config));
+    // A signal that came before is one for Python's handlers, and a later one is for the service.
+    let signals = egp_service::ServiceSignals::register_for_map().map_err(raise)?;
+    py.check_signals()?;
+    let ended = py.detach(|| egp_service::map::serve_map(&config, signals));
     after_signal(py)?;
     ended.map_err(raise)
 }

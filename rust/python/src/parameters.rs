@@ -59,6 +59,12 @@ macro_rules! methods {
                 fields.map(|(name, _, value)| (name, value)).collect()
             }
 
+            #[doc = doc!(VehicleParameters.scale)]
+            #[getter]
+            fn scale(&self) -> f64 {
+                self.0.scale()
+            }
+
             #[doc = doc!(VehicleParameters.slip_speed)]
             #[getter]
             fn slip_speed(&self) -> f64 {

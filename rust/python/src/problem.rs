@@ -2,8 +2,7 @@
 //!
 //! An array that has no axis for the stages holds for all of them.
 
-use egp_core::qp::{MAX_SOFT, SOFT_PATTERN};
-use egp_core::settings::Penalty;
+use egp_core::qp::{MAX_SOFT, Penalty, SOFT_PATTERN};
 use egp_core::{Input, NU, NX, OcpQp, State};
 use pyo3::prelude::*;
 

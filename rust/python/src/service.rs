@@ -128,7 +128,7 @@ impl Engine {
         PyBytes::new(py, &self.served.encode())
     }
 
-    /// The library's vehicle, with the settings' mass, axles and tyres in place of its own.
+    /// The library's vehicle, with the settings' mass and `l_f` in place of its own.
     #[getter]
     fn vehicle(&self) -> VehicleParameters {
         VehicleParameters(self.inner.vehicle())

@@ -236,13 +236,12 @@ pub fn decode_request(py: Python<'_>, data: &[u8]) -> PyResult<Request> {
 #[pyfunction]
 pub fn decode_reply(py: Python<'_>, data: &[u8]) -> PyResult<Reply> {
     let reply = egp_wire::Reply::decode(data).map_err(raise)?;
-    let status = reply.status.as_str_name().trim_start_matches("STATUS_");
     let members = reply.weights.len();
     let friction = Friction::of(py, &reply)?;
     Ok(Reply {
         library: reply.library.to_vec().into(),
         sequence: reply.sequence,
-        status: status.to_ascii_lowercase(),
+        status: egp_wire::status_name(reply.status).to_owned(),
         plan_x: matrix(py, &reply.plan_x)?.unbind(),
         plan_u: matrix(py, &reply.plan_u)?.unbind(),
         weights: vector(py, reply.weights).unbind(),

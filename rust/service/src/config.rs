@@ -27,7 +27,7 @@ use crate::config_error::ConfigError;
 ///     [zenoh]
 ///     "listen/endpoints" = '["tcp/0.0.0.0:7447"]'
 /// "#)?;
-/// assert_eq!(config.settings.cost.lateral, 30.0);
+/// assert_eq!(config.settings.cost.lateral, Some(30.0));
 /// # Ok::<(), egp_service::ConfigError>(())
 /// ```
 #[derive(Clone, Debug, Deserialize)]

@@ -58,7 +58,7 @@ impl Wanted<'_> {
     /// Fetches the library unless the file holds it. Replicas are asked until one of them gave it, or `patience` has passed, or
     /// for about a second all that announce themselves have answered that they do not have it or sent what cannot be used. A
     /// transfer that has begun then is completed. Hash, signature and the library itself are checked before the file is
-    /// replaced. `stopped` is called every 50 ms and tells whether to give up.
+    /// replaced. `stopped` is called at least once a second and tells whether to give up.
     ///
     /// `network` is used with its zenoh settings only: the session connects as a service with it would, and does not listen.
     ///
@@ -158,7 +158,8 @@ impl Fetching<'_> {
                     }
                 }
             }
-            let is_refused = all > 0 && refusals == all && all >= self.network.live();
+            let all_answered = self.network.live().is_some_and(|live| all >= live);
+            let is_refused = refusals == all && all_answered;
             refused = refused.or(Some(Instant::now())).filter(|_| is_refused);
             if begun.elapsed() > patience || refused.is_some_and(|since| since.elapsed() >= LAST) {
                 break;

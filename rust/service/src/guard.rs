@@ -220,7 +220,6 @@ impl Guard {
     }
 }
 
-/// Reads the keys of a file, which must have at least one.
 /// A warning about a file of secret keys that every user of the machine may read or write.
 pub(crate) fn exposed(path: &Path) -> Option<String> {
     const OTHERS: u32 = 0o007;

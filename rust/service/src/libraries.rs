@@ -43,6 +43,17 @@ pub enum ReloadError {
     Ended,
 }
 
+impl ReloadError {
+    /// Whether another attempt may succeed with the same file.
+    pub(crate) fn may_heal(&self) -> bool {
+        match self {
+            Self::Engine(error) => matches!(error, EngineError::Read { .. }),
+            Self::Signature(_) | Self::Full { .. } | Self::Defect => true,
+            Self::NoFile | Self::Ended => false,
+        }
+    }
+}
+
 impl From<TableFull> for ReloadError {
     fn from(TableFull { limit }: TableFull) -> Self {
         Self::Full { limit }

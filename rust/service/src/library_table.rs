@@ -95,7 +95,7 @@ impl<H: Handler> LibraryTable<H> {
     /// replacement at a time.
     ///
     /// # Errors
-    /// The error of `load`, or that of [`TableFull`] if no library can be removed; nothing changes then.
+    /// The error of `load`, or that of [`TableFull`] if no library can be removed; the same libraries are served then.
     pub fn replace<E: From<TableFull>>(
         &self,
         id: LibraryId,

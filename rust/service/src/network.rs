@@ -109,7 +109,10 @@ impl Network {
             }
         };
         let listen = config.get_json("listen/endpoints").unwrap_or_default();
-        let stated = get(&config, "connect/timeout_ms")?.as_i64();
+        let stated = get(&config, "connect/timeout_ms")?;
+        let mode = get(&config, "mode")?;
+        let of_mode = stated.get(mode.as_str().unwrap_or("peer")); // one number for each mode
+        let stated = of_mode.unwrap_or(&stated).as_i64();
         let patience = match stated.map(u64::try_from) {
             Some(Err(_)) => Duration::MAX,
             None | Some(Ok(0)) => patience,
@@ -147,17 +150,16 @@ impl Network {
         asked.is_ok_and(|found| found.into_iter().any(|reply| reply.result().is_ok()))
     }
 
-    /// The number of replicas that announce themselves; 0 if that is not known within a second.
-    pub(crate) fn live(&self) -> usize {
+    /// The number of replicas that announce themselves. `None` if that is not known within a second, as where access control does
+    /// not allow the question.
+    pub(crate) fn live(&self) -> Option<usize> {
         let (tokens, patience) = (self.session.liveliness(), Duration::from_secs(1));
-        let asked = tokens.get(keys::ALL_LIVE).timeout(patience).wait();
-        asked.map_or(0, |found| {
-            let found = found
-                .into_iter()
-                .filter_map(|reply| reply.into_result().ok());
-            let names = found.map(|sample| sample.key_expr().to_string());
-            names.collect::<BTreeSet<_>>().len()
-        })
+        let asked = tokens.get(keys::ALL_LIVE).timeout(patience).wait().ok()?;
+        let found = asked
+            .into_iter()
+            .filter_map(|reply| reply.into_result().ok());
+        let names: BTreeSet<String> = found.map(|sample| sample.key_expr().to_string()).collect();
+        (!names.is_empty()).then_some(names.len())
     }
 
     /// Announces the replica to clients.

@@ -45,12 +45,15 @@ pub(crate) struct Reloader {
 struct Failed {
     at: Instant,
     why: String,
+    /// Whether it may succeed without a change of the file: what it lacked, such as a signature or room for a further library,
+    /// may be there by then. A file that was read and is no library that fits the settings stays so, and loading it takes
+    /// cores from the steps.
+    may_heal: bool,
     /// It failed only because there was no room.
     full: bool,
 }
 
-/// Time after which a loading that failed is tried again without a change of the file: what it lacked, such as a signature
-/// or room for a further library, may be there by then.
+/// Time after which such a loading is tried again.
 const RETRY: Duration = Duration::from_secs(5);
 
 /// The running thread, which ends when this value is dropped; a loading that has begun is completed first.
@@ -102,7 +105,8 @@ impl Reloader {
                 let changed = commanded || now != self.stamp;
                 let again = self.failed.as_ref().is_some_and(|failed| {
                     // Without room all the work of loading would be in vain.
-                    failed.at.elapsed() > RETRY && (!failed.full || self.libraries.has_room())
+                    let has_room = !failed.full || self.libraries.has_room();
+                    failed.may_heal && failed.at.elapsed() > RETRY && has_room
                 });
                 if changed || again {
                     // A change during the loading is seen at the next look.
@@ -118,6 +122,7 @@ impl Reloader {
                     self.failed = reloaded.as_ref().err().map(|error| Failed {
                         at: Instant::now(),
                         why: error.to_string(),
+                        may_heal: error.may_heal(),
                         full: matches!(error, ReloadError::Full { .. }),
                     });
                     if changed || self.failed.as_ref().map(|failed| &failed.why) != before.as_ref()
@@ -240,6 +245,17 @@ mod tests {
         assert!(matches!(next(), Err(ReloadError::Defect)));
         assert!(matches!(next(), Ok((Reloaded::Same(_), _))));
         fs::remove_file(&file).unwrap();
+    }
+
+    #[test]
+    fn only_what_may_heal_is_tried_again() {
+        let file = std::env::temp_dir().join(format!("egp-reload-heal-{}", std::process::id()));
+        write(&file, 20);
+        let libraries = Libraries::load(&ServiceConfig::new(file.clone())).unwrap();
+        fs::write(&file, "no library").unwrap();
+        assert!(!libraries.reload().unwrap_err().may_heal());
+        fs::remove_file(&file).unwrap();
+        assert!(libraries.reload().unwrap_err().may_heal());
     }
 
     #[test]

@@ -72,7 +72,7 @@ pub fn check(config: &ServiceConfig) -> Result<Checked, ServeError> {
 }
 
 /// The signals that a service waits for. One that comes after they were registered is not lost.
-pub struct ServiceSignals(Signals);
+pub struct ServiceSignals(pub(crate) Signals);
 
 impl ServiceSignals {
     /// Registers SIGTERM and SIGINT, unless this process inherited them as ignored, and SIGHUP.
@@ -82,6 +82,15 @@ impl ServiceSignals {
     pub fn register() -> Result<Self, ServeError> {
         let mut caught = not_ignored(&[SIGTERM, SIGINT]);
         caught.push(SIGHUP); // also under `nohup`, because it does not end this program
+        Signals::new(caught).map(Self).map_err(ServeError::Signals)
+    }
+
+    /// Registers SIGTERM, SIGINT and SIGHUP, which all end a map service, unless this process inherited them as ignored.
+    ///
+    /// # Errors
+    /// [`ServeError::Signals`].
+    pub fn register_for_map() -> Result<Self, ServeError> {
+        let caught = not_ignored(&[SIGTERM, SIGINT, SIGHUP]);
         Signals::new(caught).map(Self).map_err(ServeError::Signals)
     }
 }

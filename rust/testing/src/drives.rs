@@ -1,7 +1,6 @@
 //! Random driving problems: a linearised car on a winding road, and the problems of consecutive steps.
 
-use egp_core::qp::{MAX_SOFT, OcpQp, OcpSolution, SoftRow, Stage};
-use egp_core::settings::Penalty;
+use egp_core::qp::{MAX_SOFT, OcpQp, OcpSolution, Penalty, SoftRow, Stage};
 use egp_core::{Input, NU, State};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

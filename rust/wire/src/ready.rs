@@ -26,7 +26,7 @@ pub struct Ready {
     pub members: Vec<String>,
     /// Smallest and largest GP input `[v_x, v_y, omega, delta, F_x, delta_dot]` in the members' training data.
     pub envelope: [GpInput; 2],
-    /// The vehicle that plans are made for: the library's, with the settings' mass, axles and tyres in place of its own.
+    /// The vehicle that plans are made for: the library's, with the settings' mass and `l_f` in place of its own.
     /// Absent in the answers of older services.
     pub vehicle: Option<VehicleParameters>,
 }

@@ -139,6 +139,7 @@ fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
         let driven = vehicle.period(start)?;
         summary.add(&driven);
         show(&driven, vehicle.client().weights());
+        driven.moved?;
         standing = if driven.v_x < STANDING {
             standing + period
         } else {

@@ -252,7 +252,7 @@ def _import(
 ) -> "Dataset":
     """Import logs of one drive or more, and join them."""
     from egp_service._core import EgpError
-    from egp_service.cli.progress import reading
+    from egp_service.cli.progress import counted
     from egp_service.data.dataset import merge
     from egp_service.data.log_import import import_log
     from egp_service.vehicle import read_vehicle
@@ -279,7 +279,7 @@ def _import(
     for log in logs:
         name = log.name or log.absolute().name  # of the folder in which the command runs
         try:
-            with reading(console, name) as report:
+            with counted(console, f"reading {name}", "messages") as report:
                 part = import_log(
                     log,
                     columns,

@@ -128,7 +128,7 @@ def drive(
     console = Console()
     chosen = _chosen(scenario, library, plant, seed)
     _check_use(vehicle, connect, zenoh, fleet, monitor, in_process=in_process)
-    _warn(console, chosen)
+    _warn(console, chosen, seed)
     belief = load_belief(chosen, road)
     fleet_name, name = fleet_and_name(vehicle)
     with (
@@ -192,7 +192,7 @@ def _chosen(name: str, library: Path | None, plant: str | None, seed: int | None
     """
     from egp_service.simulation.course import build_path, build_profile
     from egp_service.simulation.plant import load_simulator
-    from egp_service.simulation.scenario import load_scenario
+    from egp_service.simulation.scenario import check_scenario, load_scenario
     from egp_service.simulation.scenario_checks import check_seed
 
     chosen = load_scenario(name)
@@ -203,17 +203,26 @@ def _chosen(name: str, library: Path | None, plant: str | None, seed: int | None
     if seed is not None:
         check_seed(seed, "--seed")
         chosen = replace(chosen, seed=seed)
+    check_scenario(chosen, name)
     if chosen.plant is not None:
         load_simulator(chosen.plant)
     build_profile(chosen, build_path(chosen, name))
     return chosen
 
 
-def _warn(console: Console, scenario: "Scenario") -> None:
-    """Say what of a scenario is probably a mistake."""
+def _warn(console: Console, scenario: "Scenario", seed: int | None) -> None:
+    """Say what of a scenario, or of the seed in place of its own, is probably a mistake."""
     from egp_service.simulation.course import narrow_place, tight_place
+    from egp_service.simulation.scenario import Measurement
 
-    for warning in (narrow_place(scenario), tight_place(scenario)):
+    drawn = scenario.track.kind == "random" and "seed" not in scenario.track.parameters
+    unused = (
+        f"--seed has no effect: {scenario.name} has neither measurement noise nor a track that the "
+        "seed determines"
+        if seed is not None and not drawn and scenario.measurement == Measurement()
+        else None
+    )
+    for warning in (narrow_place(scenario), tight_place(scenario), unused):
         if warning is not None:
             console.print(warning, markup=False, highlight=False)
 

@@ -167,8 +167,10 @@ def _campaign(
     """Resume the campaign of the folder or begin one, with the libraries that it needs."""
     from egp_service.evaluation import disturbances
     from egp_service.evaluation.campaign import Campaign, require_members
+    from egp_service.evaluation.experiments import FOUR
 
-    require_members(source, [*selection.driven, *selection.apart])
+    timed = FOUR if "step-times" in selection.chosen else ()
+    require_members(source, [*selection.driven, *selection.apart], timed)
     campaign = Campaign(output, source)
     if campaign.of_another_build:
         console.print(

@@ -30,8 +30,12 @@ class Origin(StrEnum):
 def ros2(
     *,
     router: Annotated[
-        str, typer.Option(help="Endpoint of rmw_zenoh's router.")
-    ] = ROS_ROUTER_ENDPOINT,
+        str | None,
+        typer.Option(
+            help=f"Endpoint of rmw_zenoh's router. By default {ROS_ROUTER_ENDPOINT}, or with "
+            "--zenoh the endpoints of its file."
+        ),
+    ] = None,
     domain: Annotated[int, typer.Option(min=0, max=232, help="ROS_DOMAIN_ID.")] = 0,
     node: Annotated[str, typer.Option(help="Name of the node.")] = "egp_controller",
     library: Annotated[
@@ -110,6 +114,7 @@ def ros2(
       egp ros2 --autoware-parameters lateral.param.yaml > settings.toml
     """
     from egp_service._core import EgpError, Library
+    from egp_service.cli import signals
 
     if seconds is not None and not 0.0 < seconds < math.inf:
         raise EgpError(f"--seconds is {seconds}: expected a number above 0")
@@ -142,8 +147,11 @@ def ros2(
         control=control or None,
     )
     console = Console(stderr=True, markup=False)
-    check_endpoints([router])
-    if reason := why_unreachable(router):
+    if router is None and zenoh is None:
+        router = ROS_ROUTER_ENDPOINT
+    where = f"at the endpoints of {zenoh}" if router is None else router
+    check_endpoints([] if router is None else [router])
+    if router is not None and (reason := why_unreachable(router)):
         console.print(
             f"No program listens at {router} ({reason}); waiting for rmw_zenoh's router there",
             highlight=False,
@@ -159,6 +167,7 @@ def ros2(
 
         def observe(step: "Step | None") -> None:
             nonlocal shown
+            signals.check()
             mode = waiting if step is None else step.mode
             detail = "" if step is None or step.mode == "normal" else step.detail
             told = ": ".join(text for text in (mode, detail, driven.problem) if text)
@@ -168,7 +177,7 @@ def ros2(
                 with suppress(OSError):
                     typer.echo(told, err=True)
 
-        console.print(f"Node {node} in domain {domain}, router {router}  (Ctrl-C ends it)")
+        console.print(f"Node {node} in domain {domain}, router {where}  (Ctrl-C ends it)")
         driven.run(observe, seconds)
 
 

@@ -39,7 +39,7 @@ def train(
         typer.Option(help="Prior mean of the GPs; best tries vehicles and constants, also alone."),
     ] = "best",
     max_points: Annotated[
-        int, typer.Option(help="Largest number of transitions of a member; best keeps up to 150.")
+        int, typer.Option(help="Largest number of transitions of a member; with best at most 150.")
     ] = _MAX_POINTS,
     restarts: Annotated[
         int | None,
@@ -66,9 +66,9 @@ def train(
     GPs. A single-track vehicle that predicts better than no change is preferred
     to kinds that are better by less than 0.25 nats per error, because only it
     predicts slides outside the data; the command then says which kind is better,
-    and by how much. The last tables
-    compare each member with no change and with a linear model after one period
-    and after rollouts; it warns where there is no skill.
+    and by how much. The last tables compare each member with no change and with
+    a linear model after one period and after rollouts; the command warns where
+    there is no skill.
 
     Delays of a log are estimated, and its inputs are moved by them before
     training; the command says by how much. With best, training takes minutes for

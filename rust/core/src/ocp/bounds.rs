@@ -2,8 +2,8 @@
 
 use egp_parameters::VehicleParameters;
 
-use crate::qp::{MAX_SOFT, OcpQp, SoftRow};
-use crate::settings::{Penalty, Soft};
+use crate::qp::{MAX_SOFT, OcpQp, Penalty, SoftRow};
+use crate::settings::Soft;
 use crate::vehicle::{DELTA, OMEGA, P_X, P_Y, PSI, ROLLING, TyreLimits, V_X, V_Y};
 use crate::{Input, NU, State};
 
@@ -26,15 +26,10 @@ pub fn soft_rows(soft: &Soft) -> usize {
     }
 }
 
-/// Penalties in the order of the soft rows.
-pub(super) fn penalties(soft: &Soft) -> [Penalty; MAX_SOFT] {
-    [
-        soft.speed,
-        soft.steering,
-        soft.track,
-        soft.lateral_motion,
-        soft.lateral_motion,
-    ]
+/// Penalties in the order of the soft rows, for a vehicle of this scale.
+pub(super) fn penalties(soft: &Soft, scale: f64) -> [Penalty; MAX_SOFT] {
+    let [speed, steering, track, lateral_motion] = soft.penalties(scale);
+    [speed, steering, track, lateral_motion, lateral_motion]
 }
 
 /// Bounds on inputs and their rates.

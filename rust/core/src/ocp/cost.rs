@@ -2,21 +2,25 @@
 
 use nalgebra::SMatrix;
 
-use crate::settings::Cost;
+use crate::settings::{Cost, ScaledWeights};
 use crate::vehicle::{P_X, P_Y, PSI, V_X};
 use crate::{NX, State};
 
 /// `Q` for a reference state: weights of the position errors along and across the reference yaw and of speed and yaw
 /// errors.
-pub fn state_weight(cost: &Cost, reference: &State) -> SMatrix<f64, NX, NX> {
-    let (along, across) = (cost.longitudinal, cost.lateral);
+pub fn state_weight(
+    cost: &Cost,
+    scaled: &ScaledWeights,
+    reference: &State,
+) -> SMatrix<f64, NX, NX> {
+    let (along, across) = (scaled.longitudinal, scaled.lateral);
     let (sin, cos) = reference[PSI].sin_cos();
     let mut q = SMatrix::zeros();
     q[(P_X, P_X)] = along * cos * cos + across * sin * sin;
     q[(P_Y, P_Y)] = along * sin * sin + across * cos * cos;
     q[(P_X, P_Y)] = (along - across) * sin * cos;
     q[(P_Y, P_X)] = q[(P_X, P_Y)];
-    q[(V_X, V_X)] = cost.v_x;
+    q[(V_X, V_X)] = scaled.v_x;
     q[(PSI, PSI)] = cost.psi;
     q
 }
@@ -42,15 +46,17 @@ mod tests {
     #[test]
     fn longitudinal_and_lateral_errors_have_separate_weights() {
         let cost = Cost::default();
+        let scaled = cost.scaled(1.0);
         let psi: f64 = 0.7;
         let mut reference = State::zeros();
         reference[PSI] = psi;
-        let value = |e: State| (e.transpose() * state_weight(&cost, &reference) * e).x;
+        let value = |e: State| (e.transpose() * state_weight(&cost, &scaled, &reference) * e).x;
         let along = State::from_column_slice(&[psi.cos(), psi.sin(), 0.0, 0.0, 0.0, 0.0, 0.0]);
         let across = State::from_column_slice(&[-psi.sin(), psi.cos(), 0.0, 0.0, 0.0, 0.0, 0.0]);
-        assert!((value(along) - cost.longitudinal).abs() < 1e-12);
-        assert!((value(across) - cost.lateral).abs() < 1e-12);
-        assert!((value(along + across) - cost.longitudinal - cost.lateral).abs() < 1e-12);
+        let weights = [scaled.longitudinal, scaled.lateral];
+        assert!((value(along) - weights[0]).abs() < 1e-12);
+        assert!((value(across) - weights[1]).abs() < 1e-12);
+        assert!((value(along + across) - weights[0] - weights[1]).abs() < 1e-12);
     }
 
     #[test]

@@ -63,9 +63,11 @@ pub fn assemble(
     qp.x0 = *x0;
     qp.u_prev = *u_prev;
     qp.u_prev[FORCE] /= vehicle.mass;
-    qp.r = settings.cost.input.into();
-    qp.r_d = settings.cost.rate.into();
-    qp.penalty = bounds::penalties(&settings.soft);
+    let scale = vehicle.scale();
+    let scaled = settings.cost.scaled(scale);
+    qp.r = scaled.input.into();
+    qp.r_d = scaled.rate.into();
+    qp.penalty = bounds::penalties(&settings.soft, scale);
     let horizon = qp.horizon();
     for (t, (stage, affine)) in qp.stages_mut().iter_mut().zip(&dynamics.stages).enumerate() {
         stage.a = affine.a;
@@ -73,7 +75,7 @@ pub fn assemble(
         stage.b.column_mut(FORCE).scale_mut(vehicle.mass);
         stage.c = affine.c;
         let target = &road.x[t + 1];
-        stage.q = cost::state_weight(&settings.cost, target);
+        stage.q = cost::state_weight(&settings.cost, &scaled, target);
         if t + 1 == horizon {
             stage.q *= cost::terminal_factor(&settings.cost, road.tyres[t + 1].friction);
         }

@@ -1,7 +1,7 @@
 //! The KKT residual of a solution, computed from the stages of [`OcpQp`] alone and thus independently of the solver.
 
 use super::{OcpQp, OcpSolution, SoftRow};
-use crate::settings::Penalty;
+use crate::qp::Penalty;
 use crate::{Input, State};
 
 /// Residual of the KKT conditions. All parts but `primal` are relative to the size of their terms (at least 1).

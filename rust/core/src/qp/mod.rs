@@ -24,9 +24,17 @@ pub use kkt::KktResidual;
 pub use solution::{Multipliers, OcpSolution};
 pub use sparse::{Csc, SparseQp};
 
-use crate::settings::Penalty;
 use crate::vehicle::{DELTA, OMEGA, P_X, P_Y, PSI, V_X, V_Y};
 use crate::{Input, NU, NX, State};
+
+/// Penalty of a soft row violated by `s`: `linear·s + ½ quadratic·s²`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Penalty {
+    /// Positive, 1 per unit of the row.
+    pub linear: f64,
+    /// Positive, 1 per squared unit.
+    pub quadratic: f64,
+}
 
 /// Largest number of soft rows of a stage: speed, steering angle, track edges, lateral speed, yaw rate.
 pub const MAX_SOFT: usize = 5;
@@ -164,7 +172,10 @@ impl OcpQp {
             u_prev: Input::zeros(),
             r: Input::repeat(1.0),
             r_d: Input::repeat(1.0),
-            penalty: [Penalty::default(); MAX_SOFT],
+            penalty: [Penalty {
+                linear: 1.0,
+                quadratic: 1.0,
+            }; MAX_SOFT],
             n_soft: n_soft.min(MAX_SOFT),
             stages: vec![Stage::neutral(); horizon],
         }

@@ -5,8 +5,10 @@ use serde::{Deserialize, Serialize};
 use egp_parameters::{MOST_WIDTH, REFERENCE_SPEED};
 
 use super::SettingsError;
-use super::range::{LARGEST, check, not_negative, positive, positive_if_stated};
-use crate::NU;
+use super::cost::MOST_WEIGHT;
+use super::range::{LARGEST, check, positive, positive_if_stated};
+use crate::NY;
+use crate::qp::Penalty;
 
 /// Which states the members are linearised about; the inputs are the previous plan's in both.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -25,43 +27,15 @@ pub enum Operating {
 pub struct OperatingSettings {
     /// Default `shift`.
     pub kind: Operating,
-    /// Lowest speed to linearise at, m/s, at most 100. Slip angles are not defined at standstill. Default 1.
-    pub v_x_min: f64,
-    /// Largest |v_y| to linearise at, in m/s. Default 8.
-    pub v_y: f64,
-    /// Largest |omega| to linearise at, in rad/s. Default 3.
-    pub omega: f64,
+    /// Lowest speed to linearise at, m/s, at most 100. Slip angles are not defined at standstill. Default `sqrt(scale)`.
+    pub v_x_min: Option<f64>,
+    /// Largest |v_y| to linearise at, in m/s. Default `8 sqrt(scale)`.
+    pub v_y: Option<f64>,
+    /// Largest |omega| to linearise at, in rad/s. Default `3 / sqrt(scale)`.
+    pub omega: Option<f64>,
     /// When in a period, as a share of it, the yaw is taken along which positions move. Default 0.5: a vehicle in a bend
     /// moves along its chords. 0 is the paper's forward Euler method, along tangents that lead out of the bend.
     pub yaw_at: f64,
-}
-
-/// Weights of the quadratic cost; every term is `½ weight · error²`. Those of states and `proximal` are at most 1e5, and
-/// `terminal` at most 1e3: with 1e9 many problems have no solution that passes the check.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields, expecting = "a table")]
-pub struct Cost {
-    /// Position error along the reference, 1/m². If it equals `lateral`, Q is the same for all yaw angles of the reference,
-    /// as in the paper. Default 10.
-    pub longitudinal: f64,
-    /// Position error across the reference, 1/m². Default 60, with which the simulated car drives with up to 40 ms of
-    /// actuator delay; with 20 it drives with up to 60 ms.
-    pub lateral: f64,
-    /// Speed error, 1/(m/s)². Default 2.
-    pub v_x: f64,
-    /// Yaw error, 1/rad². Default 10.
-    pub psi: f64,
-    /// Factor of the state weights at the last stage on a surface with the friction 1; it is inversely proportional to the
-    /// friction on those with less: `Q_T = terminal / mu · Q` with `mu` limited to 0.05 to 1. Default 2.
-    pub terminal: f64,
-    /// `R` on `[F_x/m, delta_dot]`, 1/(m/s²)² and 1/(rad/s)². Default [0.05, 2].
-    pub input: [f64; NU],
-    /// `R_d` on the change of `[F_x/m, delta_dot]` from stage to stage, the first from the applied input.
-    /// Default [0.05, 10].
-    pub rate: [f64; NU],
-    /// Weight of the change of `F_x/m` from the previous plan, as a multiple of the bound on the curvature that the
-    /// linearisation leaves out, which is zero where lateral force is not scarce. 0 is none, as in the paper. Default 2.
-    pub proximal: f64,
 }
 
 /// Hard bounds: the limits of the actuators and of the training data. By default those of the library's vehicle.
@@ -82,15 +56,17 @@ pub struct InputBounds {
     pub delta_dot_slew: Option<f64>,
 }
 
-/// Penalty of a soft bound violated by `s`: `linear·s + ½ quadratic·s²`.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+/// Penalty of a soft bound violated by `s`: `linear·s + ½ quadratic·s²`, at most 1e5 each.
+///
+/// The unit `l` of the defaults is the `scale` for lengths, `sqrt(scale)` for speeds, and 1 otherwise.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields, expecting = "a table")]
-pub struct Penalty {
+pub struct PenaltySettings {
     /// Linear weight, 1 per unit of the bounded quantity. The penalty is exact: if this weight exceeds the multiplier of the
-    /// hard bound, the bound is kept wherever that is feasible. Default 200.
-    pub linear: f64,
-    /// Quadratic weight, 1 per squared unit; it spreads an unavoidable violation over the stages. Default 2000.
-    pub quadratic: f64,
+    /// hard bound, the bound is kept wherever that is feasible. Default `200 / l`.
+    pub linear: Option<f64>,
+    /// Quadratic weight, 1 per squared unit; it spreads an unavoidable violation over the stages. Default `2000 / l²`.
+    pub quadratic: Option<f64>,
 }
 
 /// Soft bounds on states: they may be violated at the cost of a penalty, so that no measured state is infeasible.
@@ -117,13 +93,13 @@ pub struct Soft {
     /// at most 10. Default 0, which takes no time; `docs/settings.md` states what other values cost.
     pub caution: f64,
     /// Penalty of speed violations.
-    pub speed: Penalty,
+    pub speed: PenaltySettings,
     /// Penalty of steering-angle violations.
-    pub steering: Penalty,
+    pub steering: PenaltySettings,
     /// Penalty of leaving the track.
-    pub track: Penalty,
+    pub track: PenaltySettings,
     /// Penalty of leaving the envelope.
-    pub lateral_motion: Penalty,
+    pub lateral_motion: PenaltySettings,
 }
 
 /// Which QP solver a step calls first.
@@ -163,34 +139,10 @@ impl Default for OperatingSettings {
     fn default() -> Self {
         Self {
             kind: Operating::Shift,
-            v_x_min: 1.0,
-            v_y: 8.0,
-            omega: 3.0,
+            v_x_min: None,
+            v_y: None,
+            omega: None,
             yaw_at: 0.5,
-        }
-    }
-}
-
-impl Default for Cost {
-    fn default() -> Self {
-        Self {
-            longitudinal: 10.0,
-            lateral: 60.0,
-            v_x: 2.0,
-            psi: 10.0,
-            terminal: 2.0,
-            input: [0.05, 2.0],
-            rate: [0.05, 10.0],
-            proximal: 2.0,
-        }
-    }
-}
-
-impl Default for Penalty {
-    fn default() -> Self {
-        Self {
-            linear: 200.0,
-            quadratic: 2000.0,
         }
     }
 }
@@ -205,10 +157,10 @@ impl Default for Soft {
             envelope: None,
             edge_margin: None,
             caution: 0.0,
-            speed: Penalty::default(),
-            steering: Penalty::default(),
-            track: Penalty::default(),
-            lateral_motion: Penalty::default(),
+            speed: PenaltySettings::default(),
+            steering: PenaltySettings::default(),
+            track: PenaltySettings::default(),
+            lateral_motion: PenaltySettings::default(),
         }
     }
 }
@@ -224,53 +176,35 @@ impl Default for SolverSettings {
     }
 }
 
-/// Largest accepted weight of a state, and penalty of a soft bound. With larger ones some steps end without a plan.
-const MOST_WEIGHT: f64 = 1e5;
-/// Largest accepted factor of the states' weights at the last stage, which low friction raises up to 20 times.
-const MOST_TERMINAL: f64 = 1e3;
-
 impl OperatingSettings {
     pub(super) fn validate(&self) -> Result<(), SettingsError> {
-        check(
-            "operating.v_x_min",
-            self.v_x_min,
-            "from 1e-9 to 100 m/s",
-            |v| (1e-9..=REFERENCE_SPEED.1).contains(&v),
-        )?;
-        positive("operating.v_y", self.v_y)?;
-        positive("operating.omega", self.omega)?;
+        if let Some(v_x_min) = self.v_x_min {
+            check("operating.v_x_min", v_x_min, "from 1e-9 to 100 m/s", |v| {
+                (1e-9..=REFERENCE_SPEED.1).contains(&v)
+            })?;
+        }
+        positive_if_stated("operating.v_y", self.v_y)?;
+        positive_if_stated("operating.omega", self.omega)?;
         check("operating.yaw_at", self.yaw_at, "in [0, 1]", |v| {
             (0.0..=1.0).contains(&v)
         })
     }
-}
 
-impl Cost {
-    pub(super) fn validate(&self) -> Result<(), SettingsError> {
-        weight("cost.longitudinal", self.longitudinal)?;
-        weight("cost.lateral", self.lateral)?;
-        weight("cost.v_x", self.v_x)?;
-        weight("cost.psi", self.psi)?;
-        check(
-            "cost.terminal",
-            self.terminal,
-            "not negative, at most 1e3",
-            |v| (0.0..=MOST_TERMINAL).contains(&v),
-        )?;
-        weight("cost.proximal", self.proximal)?;
-        for i in 0..NU {
-            positive("cost.input", self.input[i])?; // keeps the QP strictly convex: one solution
-            not_negative("cost.rate", self.rate[i])?;
-        }
-        Ok(())
+    /// `[v_x_min, v_y, omega]` for a vehicle of this scale.
+    pub fn limits(&self, scale: f64) -> [f64; NY] {
+        let root = scale.sqrt();
+        [
+            self.v_x_min.unwrap_or(root),
+            self.v_y.unwrap_or(8.0 * root),
+            self.omega.unwrap_or(3.0 / root),
+        ]
     }
-}
 
-/// Errors unless `got` may be the weight of a state.
-fn weight(field: &'static str, got: f64) -> Result<(), SettingsError> {
-    check(field, got, "not negative, at most 1e5", |v| {
-        (0.0..=MOST_WEIGHT).contains(&v)
-    })
+    /// The same settings with the values of [`Self::limits`] stated.
+    pub(super) fn complete(&mut self, scale: f64) {
+        let [v_x_min, v_y, omega] = self.limits(scale);
+        (self.v_x_min, self.v_y, self.omega) = (Some(v_x_min), Some(v_y), Some(omega));
+    }
 }
 
 impl InputBounds {
@@ -333,10 +267,38 @@ impl Soft {
                 self.lateral_motion,
             ),
         ] {
-            penalty(linear, bound.linear)?;
-            penalty(quadratic, bound.quadratic)?;
+            for (field, weight) in [(linear, bound.linear), (quadratic, bound.quadratic)] {
+                weight.map_or(Ok(()), |weight| penalty(field, weight))?;
+            }
         }
         Ok(())
+    }
+
+    /// The penalties of speed, steering, track and lateral motion for a vehicle of this scale.
+    pub fn penalties(&self, scale: f64) -> [Penalty; 4] {
+        let units = [scale.sqrt(), 1.0, scale, 1.0];
+        let stated = [self.speed, self.steering, self.track, self.lateral_motion];
+        std::array::from_fn(|i| stated[i].in_units_of(units[i]))
+    }
+
+    /// The same settings with the values of [`Self::penalties`] stated.
+    pub(super) fn complete(&mut self, scale: f64) {
+        [self.speed, self.steering, self.track, self.lateral_motion] =
+            self.penalties(scale).map(|penalty| PenaltySettings {
+                linear: Some(penalty.linear),
+                quadratic: Some(penalty.quadratic),
+            });
+    }
+}
+
+impl PenaltySettings {
+    /// The penalty, whose defaults are those of a quantity in this unit.
+    fn in_units_of(&self, unit: f64) -> Penalty {
+        Penalty {
+            linear: (self.linear).unwrap_or_else(|| (200.0 / unit).min(MOST_WEIGHT)),
+            quadratic: (self.quadratic)
+                .unwrap_or_else(|| (2000.0 / (unit * unit)).min(MOST_WEIGHT)),
+        }
     }
 }
 

@@ -6,12 +6,13 @@
 //! ```
 //! use egp_core::Settings;
 //! let settings = Settings::from_toml("horizon = 25\n[cost]\nlateral = 30.0")?;
-//! assert_eq!(settings.cost.longitudinal, 10.0);
+//! assert_eq!(settings.cost.lateral, Some(30.0));
 //! assert!(Settings::from_toml("[cost]\nlatteral = 30.0").is_err());
 //! # Ok::<(), egp_core::SettingsError>(())
 //! ```
 
 mod control;
+mod cost;
 mod estimation;
 mod range;
 mod residual;
@@ -20,8 +21,9 @@ use egp_parameters::VehicleParameters;
 use serde::{Deserialize, Serialize};
 
 pub use control::{
-    Cost, InputBounds, Operating, OperatingSettings, Penalty, Soft, SolverKind, SolverSettings,
+    InputBounds, Operating, OperatingSettings, PenaltySettings, Soft, SolverKind, SolverSettings,
 };
+pub use cost::{Cost, ScaledWeights};
 pub use estimation::{Prior, WeightSettings};
 pub use residual::ResidualSettings;
 
@@ -32,7 +34,7 @@ use range::check;
 /// Settings of the control step.
 ///
 /// What describes the vehicle is by default that of the library ([`Settings::vehicle`]). The other defaults were chosen
-/// with CommonRoad's vehicle 1 at `dt` = 0.02 s.
+/// with CommonRoad's vehicle 1 at `dt` = 0.02 s, and follow the [scale](VehicleParameters::scale) of smaller vehicles.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields, expecting = "a table")]
 pub struct Settings {
@@ -140,7 +142,8 @@ impl Settings {
     }
 
     /// The same settings with every value stated that by default depends on the library: on its period of `dt` s, on its
-    /// least `friction`, on the vehicle it was trained for, or on noise and delay of the measured states that it states.
+    /// least `friction`, on the vehicle it was trained for and its size, or on noise and delay of the measured states that it
+    /// states.
     /// `soft.slip` stays as it is, because its default differs between the members.
     #[must_use]
     pub fn complete(
@@ -166,6 +169,10 @@ impl Settings {
             a_slew: Some(vehicle.a_slew),
             delta_dot_slew: Some(vehicle.steering_slew),
         };
+        let scale = vehicle.scale();
+        self.operating.complete(scale);
+        self.cost.complete(scale);
+        self.soft.complete(scale);
         self.soft.delta = Some(vehicle.steering_angle);
         self.soft.front = Some(vehicle.l_f);
         self.soft.edge_margin = Some(self.soft.edge_margin(vehicle.width));

@@ -89,7 +89,7 @@ fn linearise(
     let present = |delay: Delay| delay.present(rows, &ensembles(0), disturbance);
     let x0 = local_state(&ws.delay.map_or(rows.x, present));
     let operating = &settings.operating;
-    let domain = Domain::new(operating, settings.soft.v_x_max, ws.vehicle.steering_angle);
+    let domain = Domain::new(operating, settings.soft.v_x_max, &ws.vehicle);
     ws.dynamics.along(
         |t| (ensembles(t), ws.offsets[t]),
         library.dt(),

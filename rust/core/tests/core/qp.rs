@@ -2,9 +2,9 @@
 #![allow(clippy::unwrap_used)]
 
 use egp_core::qp::{
-    A_PATTERN, B_PATTERN, KktResidual, MAX_SOFT, OcpQp, Q_PATTERN, SOFT_PATTERN, SparseQp,
+    A_PATTERN, B_PATTERN, KktResidual, MAX_SOFT, OcpQp, Penalty, Q_PATTERN, SOFT_PATTERN, SparseQp,
 };
-use egp_core::settings::{Penalty, SolverSettings};
+use egp_core::settings::SolverSettings;
 use egp_core::solver::{ClarabelSolver, solve_checked};
 use egp_core::{Input, NU, NX, OcpSolution, QpSolver, State, Status};
 use nalgebra::DVector;

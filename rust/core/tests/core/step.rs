@@ -297,7 +297,7 @@ fn the_plan_stays_within_the_track_edges() {
 #[test]
 fn a_stated_slip_of_the_front_tyres_is_bounded_by_the_blended_friction() {
     let mut settings = settings();
-    (settings.soft.slip, settings.soft.steering.linear) = (Some(0.1), 1e5);
+    (settings.soft.slip, settings.soft.steering.linear) = (Some(0.1), Some(1e5));
     settings.cost.terminal = 1.0; // With more weight at the end consecutive plans alternate more.
     let mut request = Request::circle();
     (request.history_z, request.history_y) = (vec![], vec![]);

@@ -74,7 +74,7 @@ impl Driver {
             carry: Carry::new(served.library, served.history as usize),
             gate,
             replicas: Replicas::new(config.fleet.clone(), config.vehicle.clone()),
-            lost: LostDetector::default(),
+            lost: LostDetector::new(served.vehicle.map_or(1.0, |vehicle| vehicle.scale())),
             running: None,
             due: None,
             clock: Time::ZERO,
@@ -126,7 +126,7 @@ impl Driver {
     pub fn reset(&mut self) {
         self.carry.reset();
         self.gate.reset();
-        self.lost = LostDetector::default();
+        self.lost.reset();
         self.running = None;
         self.due = None;
         self.held_up = 0;
@@ -197,7 +197,10 @@ impl Driver {
         }
         measurement
             .check(self.served.horizon as usize, self.served.dt)
-            .inspect_err(|_| self.carry.skip(1))?;
+            .inspect_err(|_| {
+                self.carry.skip(1);
+                self.lost.skip();
+            })?;
         self.probe(now);
         let Measurement {
             x,

@@ -107,10 +107,14 @@ impl FleetExchange {
     /// An exchange about the road of `belief`. What the belief has measured or recalled so far is not sent, because its age is
     /// not known.
     ///
+    /// Beliefs with shorter cells than 2 m exchange evidence among themselves: in keys `.250mm` follows the name of the road if
+    /// its cells are at most 0.25 m long.
+    ///
     /// # Errors
-    /// [`FleetSettingsError`] unless the lifetime is positive and finite, and the time-out at most a day.
+    /// [`FleetSettingsError`] unless the lifetime is positive and finite, the time-out at most a day, and the name of a road with
+    /// short cells at most 56 characters long.
     pub fn new(
-        road: RoadKey,
+        mut road: RoadKey,
         settings: FleetSettings,
         now: Time,
         belief: &mut RoadBelief,
@@ -120,6 +124,10 @@ impl FleetExchange {
         }
         if settings.timeout > LONGEST {
             return Err(FleetSettingsError::Timeout(settings.timeout));
+        }
+        if belief.scale() < 1.0 {
+            let cell = 1e3 * belief.longest_cell();
+            road.road = format!("{}.{cell:.0}mm", road.road).parse()?;
         }
         belief.take_changed();
         Ok(Self {

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use egp_wire::keys::NameError;
 use thiserror::Error;
 
 /// A setting that is out of range.
@@ -13,6 +14,9 @@ pub enum FleetSettingsError {
     /// See [`FleetSettings::timeout`].
     #[error("expected a timeout of at most a day, got {0:?}")]
     Timeout(Duration),
+    /// The name of the road with the length of its cells, which follows it in keys, is too long.
+    #[error(transparent)]
+    Road(#[from] NameError),
 }
 
 /// Settings of a [`crate::FleetExchange`].

@@ -17,8 +17,16 @@ const PAUSE: Duration = Duration::from_millis(50);
 /// What the transport waits for.
 #[derive(Clone, Debug)]
 pub(super) enum Waiting {
-    Fetch { until: Time, again: Option<Time> },
-    Finish { until: Time, tried: BTreeSet<u32> },
+    Fetch {
+        until: Time,
+        again: Option<Time>,
+        /// Whether a map service has replied since the fetch began.
+        replied: bool,
+    },
+    Finish {
+        until: Time,
+        tried: BTreeSet<u32>,
+    },
 }
 
 impl FleetExchange {
@@ -26,7 +34,11 @@ impl FleetExchange {
     /// it is [`Self::silent`].
     pub fn fetch(&mut self, now: Time) {
         let until = now.saturating_add(self.settings.timeout);
-        self.waiting = Some(Waiting::Fetch { until, again: None });
+        self.waiting = Some(Waiting::Fetch {
+            until,
+            again: None,
+            replied: false,
+        });
         self.silent = false;
         self.ask(0, self.last_tile(), self.settings.timeout / FIRST_SHARE);
     }
@@ -52,7 +64,9 @@ impl FleetExchange {
     /// When [`Self::wake`] is due, if at all.
     pub fn next_wake(&self) -> Option<Time> {
         match self.waiting {
-            Some(Waiting::Fetch { until, again }) => Some(again.map_or(until, |at| at.min(until))),
+            Some(Waiting::Fetch { until, again, .. }) => {
+                Some(again.map_or(until, |at| at.min(until)))
+            }
             Some(Waiting::Finish { until, .. }) => Some(until),
             None => None,
         }
@@ -62,8 +76,10 @@ impl FleetExchange {
     pub fn wake(&mut self, now: Time, belief: &mut RoadBelief) {
         match &mut self.waiting {
             Some(Waiting::Fetch { until, .. } | Waiting::Finish { until, .. }) if now >= *until => {
-                let failed = matches!(self.waiting, Some(Waiting::Fetch { .. })) || self.sends();
-                self.silent |= failed;
+                self.silent |= match self.waiting {
+                    Some(Waiting::Fetch { replied, .. }) => !replied,
+                    _ => self.sends(),
+                };
                 self.end_waiting(now, belief);
             }
             Some(Waiting::Fetch { again, .. }) if again.is_some_and(|at| now >= at) => {
@@ -77,12 +93,15 @@ impl FleetExchange {
 
     /// Goes on with what the transport waits for after the end of a query.
     pub(super) fn go_on(&mut self, now: Time, belief: &mut RoadBelief) {
-        match &self.waiting {
-            Some(Waiting::Fetch { .. }) if self.asks() => {}
-            Some(Waiting::Fetch { until, .. }) => {
-                if self.silent || self.stale.is_some() {
-                    let (until, again) = (*until, Some(now + PAUSE));
-                    self.waiting = Some(Waiting::Fetch { until, again });
+        let (silent, asks) = (self.silent, self.asks());
+        match &mut self.waiting {
+            Some(Waiting::Fetch { again, replied, .. }) => {
+                *replied |= !silent;
+                if asks {
+                    return;
+                }
+                if silent || self.stale.is_some() {
+                    *again = Some(now + PAUSE);
                 } else {
                     self.end_waiting(now, belief);
                 }

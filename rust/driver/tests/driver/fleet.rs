@@ -2,8 +2,11 @@
 
 use std::time::Duration;
 
-use egp_driver::{FleetExchange, FleetNotice, FleetSettings, MapQuery, Purpose};
+use egp_driver::{
+    FleetAction, FleetExchange, FleetNotice, FleetSettings, FleetSettingsError, MapQuery, Purpose,
+};
 use egp_map::RoadBelief;
+use egp_wire::road_keys::RoadKey;
 use egp_wire::{Code, RoadTiles, TileEvidence, WireError, encode_tiles_changed};
 
 use crate::fleet_car::{Car, SECOND, TILE, TIMEOUT, answer, keys, overloaded, road};
@@ -30,6 +33,23 @@ fn a_road_is_fetched_page_by_page() {
     let origins: Vec<_> = car.exchange.origins(car.now).into_iter().collect();
     assert_eq!(origins, [(name("other"), ms(1500))]);
     assert_eq!(car.notices, []);
+}
+
+#[test]
+fn a_map_service_that_answered_in_part_is_not_silent() {
+    let mut car = Car::new(4);
+    car.exchange.fetch(car.now);
+    let first = car.query();
+    car.now = ms(900);
+    car.replied(&first, &answer(&[0], true));
+    let second = car.query();
+    car.now = TIMEOUT;
+    car.wake();
+    assert!(!car.exchange.is_waiting() && !car.exchange.silent());
+    assert_eq!(car.notices, []);
+    // The rest comes later.
+    car.replied(&second, &answer(&[1, 2], false));
+    assert!((car.median(2) - 0.5).abs() < 0.1);
 }
 
 #[test]
@@ -331,6 +351,28 @@ fn a_text_of_zenoh_is_no_answer_of_a_service() {
     car.exchange.refused(query.id, b"Timeout");
     car.ended(&query);
     assert!(car.exchange.silent() && car.exchange.is_waiting());
+}
+
+/// The tiles of a road with cells of other lengths mean other places.
+#[test]
+fn the_length_of_short_cells_is_a_part_of_the_keys() {
+    let mut belief = RoadBelief::new(60.0, true)
+        .unwrap()
+        .with_scale(0.125)
+        .unwrap();
+    let mut small = |road| FleetExchange::new(road, FleetSettings::default(), ms(0), &mut belief);
+    let mut exchange = small(road()).unwrap();
+    assert_eq!(exchange.publications(), "egp/v1/@map/depot/ring.250mm");
+    exchange.fetch(ms(0));
+    let Some(FleetAction::Ask(query)) = exchange.next_action() else {
+        panic!("no question");
+    };
+    assert_eq!(query.key, "egp/v1/map/depot/car-7/ring.250mm/tiles/0");
+    let long = RoadKey {
+        road: name(&"r".repeat(60)),
+        ..road()
+    };
+    assert!(matches!(small(long), Err(FleetSettingsError::Road(_))));
 }
 
 #[test]

@@ -136,7 +136,7 @@ fn a_lost_vehicle_is_stopped_and_goes_on_asking() {
         let query = asked(&mut driver);
         driver.replied(now, query.id, &solved(&query).encode(), b"");
         let step = decided(&mut driver);
-        let lost = (period == 3).then_some(Lost::Distance(26.0));
+        let lost = (period == 3).then_some(Lost::Distance(26.0, 25.0));
         assert_eq!(step.lost, lost);
         assert_eq!(step.command.mode == Mode::Stop, lost.is_some());
         assert!(step.outcome.is_solved());
@@ -151,13 +151,33 @@ fn a_lost_vehicle_is_stopped_and_goes_on_asking() {
             let query = asked(&mut driver);
             driver.replied(now, query.id, &solved(&query).encode(), b"");
         }
-        assert_eq!(decided(&mut driver).lost, Some(Lost::Distance(26.0)));
+        assert_eq!(decided(&mut driver).lost, Some(Lost::Distance(26.0, 25.0)));
     }
     driver.reset();
     driver.tick(ms(200), ms(216), measurement()).unwrap();
     let query = asked(&mut driver);
     driver.replied(ms(200), query.id, &solved(&query).encode(), b"");
     assert_eq!(decided(&mut driver).lost, None);
+}
+
+#[test]
+fn a_period_without_a_usable_reference_ends_a_succession() {
+    let mut driver = driver(&["a"]);
+    let mut away = measurement();
+    away.x[1] += 26.0;
+    for period in 1..=6 {
+        let now = PERIOD * period;
+        let mut measured = away.clone();
+        if period % 2 == 0 {
+            measured.reference.pop();
+        }
+        if driver.tick(now, now + BUDGET, measured).is_err() {
+            continue;
+        }
+        let query = asked(&mut driver);
+        driver.replied(now, query.id, &solved(&query).encode(), b"");
+        assert_eq!(decided(&mut driver).lost, None);
+    }
 }
 
 #[test]

@@ -8,6 +8,7 @@
 mod belief;
 mod fleet;
 mod preview;
+mod scale;
 
 use egp_map::RoadBelief;
 use egp_parameters::{FRICTION_HYPOTHESES, friction_hypotheses};

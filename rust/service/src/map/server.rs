@@ -9,8 +9,7 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use egp_session::NetworkError;
-use egp_wire::{not_ignored, road_keys, survive_file_size_limit};
-use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use egp_wire::{road_keys, survive_file_size_limit};
 use signal_hook::iterator::Signals;
 use thiserror::Error;
 
@@ -33,6 +32,7 @@ use crate::http::{HttpEndpoint, HttpListener};
 use crate::links::{Links, Watch, watch};
 use crate::logging::{FlushAtEnd, init_logging, log_filter, show_lost};
 use crate::network::{Network, PATIENCE, Received};
+use crate::serve::ServiceSignals;
 use crate::start_error::StartError;
 
 /// Where the service listens by default; a service of control steps on the same machine has the port before this one.
@@ -236,14 +236,13 @@ pub fn check_map(config: &MapConfig) -> Result<Option<String>, MapError> {
 /// # Errors
 /// [`MapError`] if the service does not start, something is not written at the end, or the thread that keeps the map panicked,
 /// which ends the service.
-pub fn serve_map(config: &MapConfig) -> Result<(), MapError> {
+pub fn serve_map(config: &MapConfig, signals: ServiceSignals) -> Result<(), MapError> {
+    let ServiceSignals(mut signals) = signals;
     heap::share();
     let _flush = FlushAtEnd;
     init_logging(&config.log, config.log_json).map_err(MapError::Logging)?;
     allow_all();
     survive_file_size_limit()?;
-    // Signals are registered before the start, so that an early one is not lost.
-    let mut signals = Signals::new(not_ignored(&[SIGTERM, SIGINT, SIGHUP]))?;
     let (mut ended, closing) = (false, closing(&signals));
     let mut stopped = || {
         ended |= signals.pending().next().is_some();

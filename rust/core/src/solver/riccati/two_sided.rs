@@ -13,7 +13,7 @@
 //! 1, 1976). At a fixed point `f = λ` the estimate is the exact multiplier for every `ρ`.
 
 use super::stage::PAIRS;
-use crate::settings::Penalty;
+use crate::qp::Penalty;
 
 pub(super) type Pairs = [f64; PAIRS];
 

@@ -1,0 +1,70 @@
+//! Beliefs about roads of small vehicles.
+
+use egp_map::RoadBelief;
+
+use super::{LENGTH, belief, evidence};
+
+/// A power of two, so that lengths of both roads differ by no rounding.
+const SCALE: f64 = 0.125;
+
+fn small() -> RoadBelief {
+    let belief = RoadBelief::new(SCALE * LENGTH, true).unwrap();
+    belief.with_scale(SCALE).unwrap()
+}
+
+/// What is planned for after most of a lap with two surfaces, at places along it.
+fn planned(mut belief: RoadBelief, scale: f64) -> Vec<f64> {
+    let step = 0.2 * scale;
+    for period in 0..1900 {
+        let s = step * f64::from(period);
+        let mu = if s < 200.0 * scale { 0.9 } else { 0.4 };
+        belief.update(s, Some(&evidence(mu))).unwrap();
+    }
+    let mut friction = vec![0.0; 250];
+    let start = step * 1900.0;
+    belief
+        .ahead(start, 2.0 * scale, 0.05, &mut friction)
+        .unwrap();
+    let mut preview = vec![[0.0; 2]; 41];
+    let places: Vec<f64> = (0..40).map(|i| start + scale * f64::from(i)).collect();
+    belief.preview(&places, &mut preview).unwrap();
+    friction.extend(preview.as_flattened());
+    friction
+}
+
+#[test]
+fn a_small_road_is_known_like_a_large_one_of_the_same_shape() {
+    assert_eq!(planned(small(), SCALE), planned(belief(), 1.0));
+}
+
+#[test]
+fn a_vehicle_that_was_moved_on_a_small_road_is_noticed_at_a_shorter_distance() {
+    let mut belief = small();
+    for period in 0..40 {
+        belief
+            .update(0.025 * f64::from(period), Some(&evidence(0.4)))
+            .unwrap();
+    }
+    belief.update(21.0, Some(&evidence(0.9))).unwrap();
+    let mut preview = [[0.0; 2]; 3];
+    belief.preview(&[21.0, 21.1], &mut preview).unwrap();
+    assert_eq!(preview[0], preview[1], "the window begins anew");
+}
+
+#[test]
+fn beliefs_of_another_scale_exchange_no_files_and_say_so() {
+    let stored = small().to_bytes().unwrap();
+    let mut other = RoadBelief::new(SCALE * LENGTH, true).unwrap();
+    let told = other.recall(&stored).unwrap_err().to_string();
+    assert!(told.contains("another scale"), "{told}");
+    small().recall(&stored).unwrap();
+}
+
+#[test]
+fn a_scale_that_is_none_is_an_error() {
+    for scale in [0.0, -1.0, 1.5, f64::NAN] {
+        let told = belief().with_scale(scale).unwrap_err().to_string();
+        assert!(told.contains("scale"), "{told}");
+    }
+    assert!((small().longest_cell() - 0.25).abs() < 1e-15);
+}
