@@ -86,7 +86,7 @@ def test_a_copy_is_equal(again: Callable[[Step], Step], step: Step) -> None:
 
 def test_another_value_makes_a_step_another_one(step: Step) -> None:
     assert step.friction is not None
-    *_, likelihood = told = step.friction.__getnewargs__()
+    *others, likelihood, misfit = step.friction.__getnewargs__()
     changes: list[dict[str, Any]] = [
         {"u": step.u + 1.0},
         {"u": step.u[:1]},
@@ -95,7 +95,7 @@ def test_another_value_makes_a_step_another_one(step: Step) -> None:
         {"envelope_distance": 1.0},
         {"late": (b"reply",)},
         {"friction": None},
-        {"friction": Friction(*told[:-1], likelihood - 1.0)},
+        {"friction": Friction(*others, likelihood - 1.0, misfit)},
     ]
     for change in changes:
         assert replace(step, **change) != step

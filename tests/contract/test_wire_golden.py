@@ -75,6 +75,7 @@ FRICTION = {
     "upper": 0.75,
     "information": 1.5,
     "log_likelihood": [-0.25 * i for i in range(17)],
+    "misfit": 0.375,
 }
 INFEASIBLE = {
     "version": 1,

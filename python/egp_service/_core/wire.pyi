@@ -38,7 +38,10 @@ class Friction:
     `information` of the transitions, which is the divergence from the prior in nats. From 0.1 nats
     on the transitions are `informed`; otherwise the posterior is hardly more than the prior.
     `log_likelihood` (17,) has the logarithms of the likelihoods of the coefficients
-    0.1 * 13 ** (i / 16), which are `FRICTION_HYPOTHESES`, relative to the largest.
+    0.1 * 13 ** (i / 16), which are `FRICTION_HYPOTHESES`, relative to the largest. `misfit` tests
+    the predictions with the likeliest coefficient for bias: without a systematic error it is 1 on
+    average, with a median of 0.79. It is larger if no coefficient explains the transitions, as with
+    the library of another vehicle or an unusual load (docs/problem.md, section 8).
     """
 
     mean: Final[float]
@@ -48,6 +51,7 @@ class Friction:
     information: Final[float]
     informed: Final[bool]
     log_likelihood: Final[NDArray[np.float64]]
+    misfit: Final[float]
     def __new__(
         cls,
         mean: float,
@@ -57,10 +61,11 @@ class Friction:
         information: float,
         informed: bool,
         log_likelihood: NDArray[np.float64],
+        misfit: float,
     ) -> Friction: ...
     def __getnewargs__(
         self,
-    ) -> tuple[float, float, float, float, float, bool, NDArray[np.float64]]: ...
+    ) -> tuple[float, float, float, float, float, bool, NDArray[np.float64], float]: ...
 
 @final
 class Reply:

@@ -6,7 +6,9 @@ use egp_core::{
     Library, MOST_FORCE, Settings, StepError, StepReply, StepRequest, VehicleParameters, Workspace,
     library,
 };
-use egp_wire::{Code, Friction, LibraryId, Ready, Reply, Request, Status, WireError, limits};
+use egp_wire::{
+    Code, Friction, LibraryId, Predictions, Ready, Reply, Request, Status, WireError, limits,
+};
 
 use crate::cores::{Cores, available_cores};
 use crate::error::EngineError;
@@ -212,6 +214,7 @@ impl Engine {
         let _core = self.cores.as_ref().map(|cores| cores.occupy());
         memory.request.decode_from(request)?;
         self.check_library(&memory.request)?;
+        self.check_members(&memory.request.history_f)?;
         egp_core::step(
             &self.library,
             &self.settings,
@@ -229,6 +232,22 @@ impl Engine {
         );
         memory.reply.encode_to(reply);
         Ok(memory.reply.status)
+    }
+
+    /// Errors if a history has predictions of another number of members. The control step sees their values alone, which may be
+    /// as many as those of fewer rows with more members.
+    fn check_members(&self, predictions: &Predictions) -> Result<(), WireError> {
+        let members = self.library.members().len();
+        if predictions.is_empty() || predictions.members == members {
+            return Ok(());
+        }
+        let found = predictions.members;
+        let detail =
+            format!("expected predictions of the library's {members} members, got {found}");
+        Err(WireError {
+            field: "history_f".to_owned(),
+            ..WireError::permanent(Code::InvalidField, detail)
+        })
     }
 
     /// Copies every field of a reply into the memory of this one.
@@ -270,6 +289,7 @@ impl Engine {
             upper: found.upper,
             information: found.information,
             log_likelihood: found.log_likelihood,
+            misfit: found.misfit,
         });
     }
 }

@@ -8,7 +8,7 @@ use egp_core::settings::{InputBounds, Operating};
 use egp_core::{Kernel, Library, Settings};
 use egp_engine::{Engine, EngineError, replace_file};
 use egp_testing::{libraries, requests};
-use egp_wire::{Request, Status};
+use egp_wire::{Predictions, Request, Status};
 
 fn bytes() -> Vec<u8> {
     encode(&libraries::spec(Kernel::Rbf, &[0.5, 1.1], 20, 0)).unwrap()
@@ -192,6 +192,26 @@ fn message(request: &requests::Request, library: [u8; 32]) -> Vec<u8> {
         ..Request::default()
     }
     .encode()
+}
+
+#[test]
+fn a_history_of_another_number_of_members_is_an_error() {
+    let library = libraries::library(Kernel::Rbf, &[0.5, 1.1], 50, 3);
+    let engine = Engine::new(library, requests::settings()).unwrap();
+    let mut workspace = engine.workspace().unwrap();
+    let warm = requests::warm();
+    let bytes = message(&warm, engine.library().id());
+    let mut request = Request::decode(&bytes).unwrap();
+    request.weights.clear();
+    let rows = request.history_z.len();
+    assert!(rows >= 3);
+    // As many numbers as those of three rows of two members, or of two rows of three.
+    for (members, error) in [(2, None), (3, Some("history_f")), (6, Some("history_f"))] {
+        request.history_f = Predictions::new(members, vec![[0.0; 3]; 6]);
+        let answer = engine.step(&mut workspace, &request.encode(), &mut Vec::new());
+        let field = answer.err().map(|error| error.field);
+        assert_eq!(field.as_deref(), error, "{members} members");
+    }
 }
 
 #[test]

@@ -57,11 +57,14 @@ pub struct Friction {
     informed: bool,
     /// Logarithm of the likelihood of each friction coefficient of the wire's hypotheses, relative to the largest.
     log_likelihood: KeptVector,
+    /// Test of the likeliest friction for bias.
+    misfit: f64,
 }
 
 #[pymethods]
 impl Friction {
     #[new]
+    #[allow(clippy::too_many_arguments)] // the fields of a friction
     fn new(
         mean: f64,
         std: f64,
@@ -70,6 +73,7 @@ impl Friction {
         information: f64,
         informed: bool,
         log_likelihood: KeptVector,
+        misfit: f64,
     ) -> Self {
         Self {
             mean,
@@ -79,11 +83,12 @@ impl Friction {
             information,
             informed,
             log_likelihood,
+            misfit,
         }
     }
 
     /// The arguments of `new`, from which pickle makes the same friction again.
-    fn __getnewargs__(&self, py: Python<'_>) -> (f64, f64, f64, f64, f64, bool, KeptVector) {
+    fn __getnewargs__(&self, py: Python<'_>) -> (f64, f64, f64, f64, f64, bool, KeptVector, f64) {
         let log_likelihood = self.log_likelihood.clone_ref(py);
         (
             self.mean,
@@ -93,6 +98,7 @@ impl Friction {
             self.information,
             self.informed,
             log_likelihood,
+            self.misfit,
         )
     }
 
@@ -103,12 +109,14 @@ impl Friction {
             lower,
             upper,
             information,
+            misfit,
             ..
         } = self;
         let informed = truth(self.informed);
         format!(
             "Friction(mean={mean:.3}, std={std:.3}, lower={lower:.3}, upper={upper:.3}, \
-             information={information:.3}, informed={informed})"
+             information={information:.3}, informed={informed}, \
+             misfit={misfit:.3})"
         )
     }
 }
@@ -125,6 +133,7 @@ impl Friction {
                 information: friction.information,
                 informed: friction.informed(),
                 log_likelihood: vector(py, friction.log_likelihood).unbind(),
+                misfit: friction.misfit,
             };
             Py::new(py, friction)
         };

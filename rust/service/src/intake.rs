@@ -21,7 +21,7 @@ const TRANSIT: u32 = 8;
 
 /// The end of the error about a key that is not served, for [`no_such_key`].
 const OF_A_REPLICA: &str = "no key of this replica: expected egp/v1/r/REPLICA/FLEET/VEHICLE/step or egp/v1/r/REPLICA/health, \
-     ready, metrics, library/SHA256 or library/SHA256/PART";
+     ready, metrics, library/SHA256 or library/SHA256/PART, with names of 1 to 64 of A-Z a-z 0-9 . _ -";
 
 /// A request on its way to a worker.
 pub(crate) struct Job<Q> {

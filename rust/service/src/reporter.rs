@@ -67,7 +67,7 @@ impl Reporter {
             tracing::warn!(
                 replica = %self.shared.replica,
                 answers,
-                "another service has this name: both answer each request; give one of them another --replica"
+                "another service has this name, and each vehicle reaches either of them; give one of them another --replica"
             );
         }
     }

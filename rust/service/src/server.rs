@@ -141,7 +141,7 @@ impl Server {
         if server.network.announced(&replica) {
             tracing::warn!(
                 %replica,
-                "another service has this name: both answer each request; give one of them another --replica"
+                "another service has this name, and each vehicle reaches either of them; give one of them another --replica"
             );
         }
         // The announcement comes last, because clients ask as soon as they see it.

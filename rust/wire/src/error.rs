@@ -22,8 +22,10 @@ pub enum Invalid {
     Malformed(#[from] prost::DecodeError),
     /// Another version of the messages.
     #[error(
-        "the message has version {actual}, and this program has version {}; update the older program",
-        crate::VERSION
+        "{}, and this program has version {}{}",
+        if *actual == 0 { "the message is empty or has no `version`".to_owned() } else { format!("the message has version {actual}") },
+        crate::VERSION,
+        if *actual == 0 { "" } else { "; update the older program" },
     )]
     Version {
         /// Version of the message.
@@ -122,8 +124,8 @@ impl WireError {
         .encode_to_vec()
     }
 
-    /// Reads an `egp.v1.Error`. A code that this version does not have becomes [`Code::Unspecified`], and control characters
-    /// are replaced.
+    /// Reads an `egp.v1.Error`. A code that this version does not have becomes [`Code::Unspecified`]. Texts have at most 2000
+    /// characters, and control characters in them are replaced.
     ///
     /// # Errors
     /// [`Invalid`] if the bytes are not such a message.
@@ -139,9 +141,13 @@ impl WireError {
     }
 }
 
-/// A text of another program with U+FFFD in place of control characters, which would command the terminal that shows it.
+/// The first 2000 characters of a text of another program, with U+FFFD in place of control characters, which would command the
+/// terminal that shows it.
 pub(crate) fn printable(text: &str) -> String {
-    text.replace(char::is_control, "\u{fffd}")
+    let shown = text.chars().take(2000);
+    shown
+        .map(|c| if c.is_control() { '\u{fffd}' } else { c })
+        .collect()
 }
 
 impl From<Invalid> for WireError {

@@ -20,13 +20,19 @@ pub struct Friction {
     pub information: f64,
     /// Logarithm of the likelihood of each of [`egp_parameters::friction_hypotheses`], relative to the largest.
     pub log_likelihood: [f64; FRICTION_HYPOTHESES],
+    /// Test of the likeliest friction for bias: 1 on average if the members' predictions have no systematic error, and larger if no
+    /// friction explains the transitions. 0 without transitions, and from older services.
+    pub misfit: f64,
 }
 
 /// Largest friction coefficient that is read.
 const LARGEST: f64 = 10.0;
 /// Largest information that is read, nats.
 const MOST_INFORMATION: f64 = 1e3;
+/// Largest misfit that is read.
+const MOST_MISFIT: f64 = 1e9;
 const LOG_LIKELIHOOD: u32 = 6;
+const MISFIT: u32 = 7;
 const FIELD: &str = "friction";
 
 impl Friction {
@@ -49,11 +55,13 @@ impl Friction {
     /// Reads and validates an `egp.v1.Friction`.
     pub(crate) fn read(message: &[u8]) -> Result<Self, Invalid> {
         let mut values = [0.0; 5];
-        let mut log_likelihood = None;
+        let (mut log_likelihood, mut misfit) = (None, 0.0);
         for field in Fields::of(message) {
             let (tag, value) = field?;
             if tag == LOG_LIKELIHOOD {
                 once(FIELD, &mut log_likelihood, hypotheses(value.bytes(FIELD)?)?)?;
+            } else if tag == MISFIT {
+                misfit = value.double(FIELD)?;
             } else if let Some(slot) = (tag as usize)
                 .checked_sub(1)
                 .and_then(|i| values.get_mut(i))
@@ -69,6 +77,7 @@ impl Friction {
             upper,
             information,
             log_likelihood: log_likelihood.unwrap_or([0.0; _]),
+            misfit,
         };
         friction.validate()?;
         Ok(friction)
@@ -76,9 +85,15 @@ impl Friction {
 
     /// Errors unless all values are in their ranges and the interval's ends are in order.
     pub(crate) fn validate(&self) -> Result<(), Invalid> {
-        let names = ["mean", "std", "lower", "upper", "information"];
-        let limits = [LARGEST, LARGEST, LARGEST, LARGEST, MOST_INFORMATION];
-        for ((name, value), limit) in names.iter().zip(self.values()).zip(limits) {
+        let [mean, std, lower, upper, information] = self.values();
+        for (name, value, limit) in [
+            ("mean", mean, LARGEST),
+            ("std", std, LARGEST),
+            ("lower", lower, LARGEST),
+            ("upper", upper, LARGEST),
+            ("information", information, MOST_INFORMATION),
+            ("misfit", self.misfit, MOST_MISFIT),
+        ] {
             if !(0.0..=limit).contains(&value) {
                 let detail = format!("expected {name} in [0, {limit}], got {value}");
                 return Err(Invalid::field(FIELD, detail));

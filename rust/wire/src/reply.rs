@@ -1,5 +1,6 @@
 //! The reply to one control step.
 
+use crate::error::printable;
 use crate::fields::{Fields, once};
 use crate::friction::Friction;
 use crate::tensor::{Tensor, read_predictions, read_rows, read_vector};
@@ -77,7 +78,12 @@ impl Reply {
         message.double(12, self.kkt_residual);
         message.bytes(13, self.solver.as_bytes());
         if let Some(friction) = &self.friction {
-            message.doubles(14, &friction.values(), &friction.log_likelihood);
+            message.doubles(
+                14,
+                &friction.values(),
+                &friction.log_likelihood,
+                friction.misfit,
+            );
         }
     }
 
@@ -97,7 +103,7 @@ impl Reply {
             dropped_mass: raw.dropped_mass,
             iterations: raw.iterations,
             kkt_residual: raw.kkt_residual,
-            solver: raw.solver.to_owned(),
+            solver: printable(raw.solver),
             friction: raw.friction.map(Friction::read).transpose()?,
             ..Self::default()
         };

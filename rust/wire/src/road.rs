@@ -103,6 +103,20 @@ impl RoadTiles {
         .encode_to_vec()
     }
 
+    /// Reads and validates the answer to a question for the tiles from `first` on.
+    ///
+    /// # Errors
+    /// [`Invalid`], which names the first field at fault, also if there are more tiles and this answer does not say behind which.
+    pub fn decode_from(first: u32, bytes: &[u8]) -> Result<Self, Invalid> {
+        let answer = Self::decode(bytes)?;
+        let end = answer.tiles.last().map(|tile| tile.index);
+        if answer.more && end.is_none_or(|end| end < first) {
+            let reason = format!("expected tiles from {first} on, since there are more");
+            return Err(Invalid::field("tiles", reason));
+        }
+        Ok(answer)
+    }
+
     /// Reads and validates an `egp.v1.RoadTiles`.
     ///
     /// # Errors

@@ -67,9 +67,11 @@ impl<'a> Writer<'a> {
     }
 
     /// Appends a message of doubles with the tags 1, 2 and so on, and `list` with the tag after them.
-    pub(crate) fn doubles(&mut self, tag: u32, values: &[f64], list: &[f64]) {
+    pub(crate) fn doubles(&mut self, tag: u32, values: &[f64], list: &[f64], last: f64) {
         const KEY: usize = 1; // tags below 16 take one byte
-        let written = values.iter().filter(|value| **value != 0.0).count();
+        let written = (values.iter().chain([&last]))
+            .filter(|value| **value != 0.0)
+            .count();
         let data = size_of_val(list);
         let list_size = KEY + encoded_len_varint(data as u64) + data;
         self.length(tag, written * (KEY + size_of::<f64>()) + list_size);
@@ -81,6 +83,7 @@ impl<'a> Writer<'a> {
         self.length(next, data);
         self.0
             .extend(list.iter().flat_map(|value| value.to_le_bytes()));
+        self.double(next + 1, last);
     }
 
     fn length(&mut self, tag: u32, length: usize) {

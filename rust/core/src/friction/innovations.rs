@@ -40,6 +40,8 @@ pub(super) struct Innovations {
 /// The matrices of one step of the filter, which all models share.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Gain {
+    /// `S`.
+    pub covariance: Square,
     /// `S⁻¹`.
     information: Square,
     /// `K - I`.
@@ -68,11 +70,13 @@ impl Innovations {
     pub fn next(&mut self, jacobian: &Square) -> Option<Gain> {
         let transition = Square::identity() + jacobian;
         let prior = transition * self.covariance * transition.transpose() + self.model;
-        let information = (prior + self.state).cholesky()?.inverse();
+        let of_innovation = prior + self.state;
+        let information = of_innovation.cholesky()?.inverse();
         let correction = prior * information - Square::identity();
         let covariance = -correction * prior;
         self.covariance = (covariance + covariance.transpose()) * 0.5;
         Some(Gain {
+            covariance: of_innovation,
             information,
             correction,
         })
@@ -81,16 +85,19 @@ impl Innovations {
 
 impl Gain {
     /// Updates the deviation of the state that a model estimates, from the error of its prediction at the deviation `common` from
-    /// the measured state and its Jacobian there, and returns the square of the whitened innovation.
+    /// the measured state and its Jacobian there, and returns the square of the whitened innovation. The
+    /// innovation is added to `sum`.
     pub fn advance(
         &self,
         error: &GpOutput,
         jacobian: &Square,
         common: &GpOutput,
         deviation: &mut GpOutput,
+        sum: &mut GpOutput,
     ) -> f64 {
         let innovation = error - *deviation - jacobian * (*deviation - common);
         *deviation = self.correction * innovation;
+        *sum += innovation;
         innovation.dot(&(self.information * innovation))
     }
 }
@@ -139,6 +146,7 @@ mod tests {
                 jacobian,
                 &common,
                 &mut deviation,
+                &mut GpOutput::zeros(),
             );
         }
 

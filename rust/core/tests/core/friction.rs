@@ -119,8 +119,35 @@ fn the_friction_is_found_between_the_members_and_beyond_them() {
             "{mu}: {found:?}"
         );
         assert!(found.upper - found.lower < 0.2, "{mu}: {found:?}");
+        assert!(found.misfit < 1.0, "{mu}: {found:?}");
         assert!(found.log_likelihood.iter().all(|value| *value <= 0.0));
     }
+}
+
+#[test]
+fn the_misfit_tells_another_vehicle_from_another_friction() {
+    // As heavy as two of the library's vehicles, and turned as easily as half of one.
+    let other = |member: MemberData| {
+        let Some(ModelParameters::SingleTrack(mut parameters)) = member.vehicle else {
+            unreachable!();
+        };
+        parameters[0] *= 2.0;
+        parameters[3] *= 0.5;
+        MemberData {
+            vehicle: Some(ModelParameters::SingleTrack(parameters)),
+            ..member
+        }
+    };
+    let ensemble = library(&[0.5, 1.1]);
+    for mu in [0.35, 0.5, 0.8, 1.1] {
+        let own = estimate(&ensemble, &library(&[mu]), &window(0.1));
+        let foreign = estimate(&ensemble, &changed(&[mu], 0.1, other), &window(0.1));
+        assert!(own.misfit < 1.0, "{mu}: {own:?}");
+        assert!(own.misfit < 0.03, "{mu}: {own:?}");
+        assert!(foreign.misfit > 0.9, "{mu}: {foreign:?}");
+    }
+    let none = FrictionEstimator::new(&ensemble, &WeightSettings::default());
+    assert_eq!(none.clone().estimate(&[], &[], &[]).misfit, 0.0);
 }
 
 #[test]
@@ -287,8 +314,9 @@ fn estimate_silently(ensemble: &Library) {
             upper,
             information,
             log_likelihood,
+            misfit,
         } = found;
-        let numbers = [mean, std, lower, upper, information];
+        let numbers = [mean, std, lower, upper, information, misfit];
         assert!(numbers.iter().all(|number| number.is_finite()), "{found:?}");
         assert!(lower < mean && mean < upper, "{found:?}");
         assert!(log_likelihood.contains(&-1e6));

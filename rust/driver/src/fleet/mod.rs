@@ -2,6 +2,7 @@
 
 mod action;
 mod notice;
+mod open;
 mod reports;
 mod settings;
 mod waiting;
@@ -17,6 +18,7 @@ use egp_wire::{RoadTiles, TileEvidence, WireError, decode_tiles_changed};
 
 pub use self::action::{FleetAction, MapQuery};
 pub use self::notice::{FleetNotice, Purpose};
+use self::open::{Open, Subject};
 use self::reports::Reports;
 pub use self::settings::{FleetSettings, FleetSettingsError};
 use self::waiting::Waiting;
@@ -76,6 +78,8 @@ pub struct FleetExchange {
     /// Whether a query had no answer since the last one that had: the service may have been started again without what it had, and
     /// publications may be lost.
     missed: bool,
+    /// What the last error of a service states as the time until another attempt.
+    retry_after: Duration,
     /// The first and the last tile that have changed since they were asked for.
     stale: Option<(u32, u32)>,
     exchanged: Time,
@@ -83,24 +87,6 @@ pub struct FleetExchange {
     answered: bool,
     silent: bool,
     noticed: BTreeSet<(&'static str, i32)>,
-}
-
-/// A query whose end has not been reported.
-#[derive(Clone, Debug)]
-struct Open {
-    subject: Subject,
-    /// Whether a map service replied, if only with an error.
-    exists: bool,
-    /// Whether it had a reply, or an error at which another attempt would not succeed.
-    decided: bool,
-}
-
-#[derive(Clone, Copy, Debug)]
-enum Subject {
-    /// Evidence about a tile, noticed at a time.
-    Evidence(u32, Time),
-    /// A question for tiles up to this one.
-    Tiles(u32),
 }
 
 impl FleetExchange {
@@ -141,6 +127,7 @@ impl FleetExchange {
             unsent: BTreeMap::new(),
             sent: BTreeMap::new(),
             missed: false,
+            retry_after: Duration::ZERO,
             stale: None,
             exchanged: now,
             waiting: None,
@@ -185,17 +172,25 @@ impl FleetExchange {
         }
     }
 
-    /// A query was answered.
+    /// A query was answered. Bytes that are no such answer are none.
     pub fn replied(&mut self, now: Time, id: QueryId, answer: &[u8], belief: &mut RoadBelief) {
         let Some(open) = self.open.get_mut(&id) else {
             return;
         };
-        (open.exists, open.decided) = (true, true);
-        if let Subject::Tiles(last) = open.subject {
-            match RoadTiles::decode(answer) {
-                Ok(answer) => self.report(now, answer, last, belief),
-                Err(error) => self.notice(FleetNotice::UnreadableAnswer(error)),
+        let tiles = match open.subject {
+            Subject::Evidence(..) => Ok(None),
+            Subject::Tiles { first, last } => {
+                RoadTiles::decode_from(first, answer).map(|answer| Some((answer, last)))
             }
+        };
+        match tiles {
+            Ok(tiles) => {
+                (open.exists, open.decided) = (true, true);
+                if let Some((answer, last)) = tiles {
+                    self.report(now, answer, last, belief);
+                }
+            }
+            Err(error) => self.notice(FleetNotice::UnreadableAnswer(error)),
         }
     }
 
@@ -207,9 +202,10 @@ impl FleetExchange {
         };
         open.exists = true;
         open.decided |= !error.retryable;
+        self.retry_after = Duration::from_micros(error.retry_after_us.into());
         let purpose = match open.subject {
             Subject::Evidence(..) => Purpose::Evidence,
-            Subject::Tiles(_) => Purpose::Questions,
+            Subject::Tiles { .. } => Purpose::Questions,
         };
         self.notice(FleetNotice::Refused(purpose, error));
     }
@@ -232,8 +228,8 @@ impl FleetExchange {
             Subject::Evidence(tile, noticed) => {
                 self.unsent.entry(tile).or_insert(noticed);
             }
-            Subject::Tiles(_) if open.decided => self.answered = true,
-            Subject::Tiles(_) => self.stale = Some((0, self.last_tile())),
+            Subject::Tiles { .. } if open.decided => self.answered = true,
+            Subject::Tiles { .. } => self.stale = Some((0, self.last_tile())),
         }
         if !open.exists {
             self.missed = true;
@@ -320,7 +316,7 @@ impl FleetExchange {
             self.stale = None;
         }
         let key = self.road.tiles(first);
-        self.query(Subject::Tiles(last), key, None, listen);
+        self.query(Subject::Tiles { first, last }, key, None, listen);
     }
 
     /// Hands an answer to the belief, and asks on up to the tile `last`. Tiles beyond the end of the road are left out.
@@ -368,7 +364,7 @@ impl FleetExchange {
     /// Whether a question for tiles is open.
     fn asks(&self) -> bool {
         let mut open = self.open.values();
-        open.any(|open| matches!(open.subject, Subject::Tiles(_)))
+        open.any(|open| matches!(open.subject, Subject::Tiles { .. }))
     }
 
     /// Whether evidence is being sent.
@@ -380,7 +376,7 @@ impl FleetExchange {
     fn sending(&self) -> impl Iterator<Item = u32> {
         self.open.values().filter_map(|open| match open.subject {
             Subject::Evidence(tile, _) => Some(tile),
-            Subject::Tiles(_) => None,
+            Subject::Tiles { .. } => None,
         })
     }
 

@@ -101,7 +101,7 @@ impl FleetExchange {
                     return;
                 }
                 if silent || self.stale.is_some() {
-                    *again = Some(now + PAUSE);
+                    *again = Some(now + PAUSE.max(self.retry_after));
                 } else {
                     self.end_waiting(now, belief);
                 }

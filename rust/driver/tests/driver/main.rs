@@ -5,6 +5,7 @@ mod carry;
 mod descriptions;
 mod fleet;
 mod fleet_car;
+mod fleet_fetch;
 mod gate;
 mod hedge;
 mod held_up;

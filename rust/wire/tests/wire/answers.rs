@@ -226,16 +226,18 @@ fn a_friction_is_accepted_up_to_its_limits() {
         friction: None,
         ..messages::solved_reply()
     };
-    let accepted: [fn(&mut Friction); 4] = [
+    let accepted: [fn(&mut Friction); 6] = [
         |f| (f.mean, f.upper) = (10.0, 10.0),
         |f| (f.lower, f.upper) = (0.5, 0.5),
         |f| f.information = 1e3,
         |f| f.log_likelihood = [-1e6; 17],
+        |f| f.misfit = 0.0,
+        |f| f.misfit = 1e9,
     ];
     for reply in accepted.map(with).into_iter().chain([none]) {
         assert_eq!(decoded_reply(&reply).unwrap(), reply);
     }
-    let spoiled: [fn(&mut Friction); 8] = [
+    let spoiled: [fn(&mut Friction); 10] = [
         |f| f.mean = f64::NAN,
         |f| f.mean = 10.1,
         |f| f.std = -0.1,
@@ -244,6 +246,8 @@ fn a_friction_is_accepted_up_to_its_limits() {
         |f| f.log_likelihood[3] = 0.1,
         |f| f.log_likelihood[16] = -1.1e6,
         |f| f.log_likelihood[0] = f64::NAN,
+        |f| f.misfit = -0.1,
+        |f| f.misfit = 1.1e9,
     ];
     for reply in spoiled.map(with) {
         assert_eq!(refused_reply(&reply), Some("friction"));
