@@ -38,6 +38,10 @@ if TYPE_CHECKING:
     from egp_service.control.recorder import Recorder
     from egp_service.control.status import StatusPublisher
     from egp_service.control.step import Step
+
+    # Not an import: below, modules of lower layers import this package.
+    def read_vehicle(path: str | os.PathLike[str]) -> VehicleParameters:
+        """Read a vehicle's parameters from a TOML file; see `egp_service.vehicle`."""
 else:
     _MODULES: Final = {
         "Controller": "egp_service.control.controller",
@@ -47,6 +51,7 @@ else:
         "StatusPublisher": "egp_service.control.status",
         "Step": "egp_service.control.step",
         "VehicleClient": "egp_service.control.client",
+        "read_vehicle": "egp_service.vehicle",
     }
 
     def __getattr__(name: str) -> object:
@@ -83,4 +88,5 @@ __all__ = [
     "VehicleLostError",
     "VehicleParameters",
     "horizon_reference",
+    "read_vehicle",
 ]

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from egp_service._core import EgpError, VehicleParameters
 from egp_service.files import read_toml
+
+if TYPE_CHECKING:
+    from os import PathLike
 
 _SIMULATED: Final = "commonroad-"
 
@@ -45,7 +48,7 @@ def simulated_vehicle(name: str) -> VehicleParameters | None:
     return VehicleParameters.commonroad(int(number))
 
 
-def read_vehicle(path: str | Path) -> VehicleParameters:
+def read_vehicle(path: str | PathLike[str]) -> VehicleParameters:
     """Read a vehicle's parameters from a TOML file with one line for each field.
 
     Raises:

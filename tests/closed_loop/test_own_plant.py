@@ -17,16 +17,17 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
+from egp_service._core import VehicleParameters
 from egp_service.cli import app, evaluation_parts
 from egp_service.cli.commands.drive import NOT_COMPLETED
-from egp_service.cli.commands.evaluate import _on_plant
+from egp_service.cli.commands.evaluate import _campaign, _on_plant
 from egp_service.cli.evaluation_parts import Selection
 from egp_service.evaluation import experiments
 from egp_service.evaluation.batch import finish
 from egp_service.evaluation.campaign import Campaign, Outcome
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE, Contender
 from egp_service.evaluation.experiment import Trial
-from egp_service.shipped import DEMO_LIBRARY
+from egp_service.shipped import DEMO_LIBRARY, EVALUATION_LIBRARY
 from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.in_process import in_process_controller
 from egp_service.simulation.plant import PlantError, load_simulator
@@ -35,6 +36,7 @@ from egp_service.simulation.runs import record_run
 from egp_service.simulation.scenario import (
     Disturbances,
     Scenario,
+    Zone,
     load_scenario,
     parse_scenario,
 )
@@ -165,11 +167,39 @@ def test_a_disturbance_that_a_simulator_does_not_see_is_an_error_before_the_run(
     assert not (folder / "runs").exists()
 
 
+@pytest.mark.parametrize(
+    ("zone", "message"),
+    [
+        (Zone(0.5, 0.8, right=0.3), "zones[1] has two sides, but {}: leave out the right one"),
+        (
+            Zone(0.5, surface="snow"),
+            "zones[1].surface is a tyre's force over slip, but {}: state friction = 0.3 instead",
+        ),
+    ],
+)
+def test_a_road_that_a_simulator_does_not_see_is_an_error_before_the_run(
+    folder: Path, zone: Zone, message: str
+) -> None:
+    name = "broken_car:Writing"
+    own = replace(scenario(), zones=(Zone(0.0, 0.8), zone), library=str(DEMO_LIBRARY))
+    (folder / "own.toml").write_text(own.toml())
+    command = ["drive", "-s", "own.toml", "--in-process", "-o", "runs", "--plant", name]
+    failed = CliRunner().invoke(app, command).exception
+    told = message.format(f"{name} is told one friction coefficient")
+    assert str(failed) == f"own.toml: {told}"
+    assert not (folder / "runs").exists()
+    own = replace(own, plant=name)
+    with in_process_controller(own) as controller, pytest.raises(ScenarioError, match="told one"):
+        drive(own, controller, lambda _: None)
+
+
 def test_what_is_wrong_with_a_simulator_is_named(folder: Path) -> None:
     (folder / "half_car.py").write_text("class Car\n")
     for name, message in {
         "broken_car": "expected MODULE:CLASS",
-        "no_such_module:Car": "No module named",
+        "no_such_module:Car": "No module named .*in a module of this folder, of a folder in it",
+        "broken_car.py:Slots": "the name of a module, not of its file: broken_car:Slots$",
+        "./cars/own.py:Car": "the name of a module, not of its file: cars.own:Car$",
         "broken_car:Car": "no attribute 'Car'",
         "broken_car:Empty": "has no reset, step, state",
         "broken_car:Licensed": "cannot be made: ValueError: no licence .*broken_car.py, line",
@@ -294,20 +324,38 @@ def test_conditions_that_a_simulator_does_not_see_are_left_out(folder: Path) -> 
     del folder
     (hard,) = (e for e in experiments.EXPERIMENTS if e.name == "hard-roads")
     left = {"vehicle 2", "split 1.1 | 0.5 for a third", "split 1.1 | 0.5, 75% of grip"}
-    own = experiments.on_plant(hard, "a:B")
+    own = experiments.on_plant(hard, "a:B", VehicleParameters.commonroad(1), Path("vehicle.toml"))
     names = [name for name, _ in hard.conditions]
     assert [name for name, _ in own.conditions] == [name for name in names if name not in left]
     assert all(one.plant == "a:B" for _, one in own.conditions)
     console = Console(file=io.StringIO(), width=1000)
     chosen = Selection(full=False, chosen=["hard-roads"], driven=[hard], apart=[])
-    selected = _on_plant(console, chosen, "broken_car:Slots", None)
+    selected = _on_plant(console, chosen, "broken_car:Slots", None, EVALUATION_LIBRARY, Path("out"))
     assert selected.driven[0].conditions[0][1].plant is not None
     assert isinstance(console.file, io.StringIO)
     told = console.file.getvalue()
     assert told.startswith("hard-roads without the conditions that")
     assert all(name in told for name in left)
     text = CliRunner().invoke(app, ["evaluate", "--help"], env={"COLUMNS": "80"}).output
-    assert "prediction and step-times use the built-in vehicle" in " ".join(text.split())
+    assert "experiment prediction uses the built-in vehicle" in " ".join(text.split())
+
+
+def test_runs_of_a_simulator_that_was_changed_are_told(folder: Path) -> None:
+    nothing = Selection(full=False, chosen=[], driven=[], apart=[])
+
+    def told(plant: str | None) -> str:
+        file = io.StringIO()
+        console = Console(file=file, width=1000)
+        _campaign(console, nothing, folder / "out", DEMO_LIBRARY, plant, None, None)
+        return file.getvalue()
+
+    load_simulator("broken_car:Slots")
+    assert [told(plant) for plant in ("broken_car:Slots", None, "broken_car:Slots")] == [""] * 3
+    (folder / "broken_car.py").write_text(f"{BROKEN}\n")
+    text = told("broken_car:Slots")
+    assert "runs of another version of the file of broken_car:Slots, which are kept." in text
+    assert "Choose another --output" in text
+    assert not told(None)
 
 
 def test_an_evaluation_that_a_simulator_ends_keeps_what_is_done(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import time
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
@@ -30,6 +31,7 @@ from egp_service.simulation.scenario import (
     load_scenario,
 )
 from egp_service.simulation.scenario_checks import ScenarioError
+from egp_service.simulation.summary import FrictionFound
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -108,6 +110,30 @@ def test_the_interval_holds_the_friction_of_most_informed_periods(laps: Laps) ->
     # On the roads of docs/problem.md it is 90 %; two laps are one sample of few frictions.
     assert informed > 1000
     assert held > 0.75 * informed
+
+
+def test_the_summary_compares_the_friction_with_the_true_one(laps: Laps) -> None:
+    run = laps.runs[0]
+    found = run.summary.friction
+    assert found is not None
+    steps = [
+        (period.truth, period.step.friction)
+        for period in laps.periods[: len(run.trace)]
+        if period.step.friction is not None and period.step.friction.informed
+    ]
+    assert 500 < found.informed == len(steps) < len(run.trace)
+    held = [one.lower <= truth.friction <= one.upper for truth, one in steps]
+    assert found.coverage == sum(held) / len(steps)
+    assert found.median_width == np.median([one.upper - one.lower for _, one in steps])
+    # Measured: the interval holds the friction in 0.90 of the periods, and 0.75 of it is planned.
+    assert 0.7 < found.coverage < 1.0
+    assert found.planned_over_true is not None
+    assert 0.4 < found.planned_over_true < 1.0
+    unknown = np.full(len(run.trace), np.nan)
+    nothing = replace(run.trace, misfit=unknown, friction_planned=unknown)
+    none = FrictionFound.of(nothing)
+    assert none.informed == 0
+    assert none.coverage is none.median_width is none.planned_over_true is None
 
 
 def test_what_was_found_is_where_it_was_found(laps: Laps) -> None:
@@ -243,10 +269,15 @@ def test_a_drive_that_is_interrupted_keeps_what_it_found(
     monkeypatch.setattr(StatusLine, "show", interrupt)
     result = CliRunner().invoke(app, [*command, "--road", str(file)])
     assert "Interrupted" in result.output
+    assert "is new: nothing is known" in " ".join(result.output.split())
     random = load_scenario("random")
     known, nothing = load_belief(random, file), RoadBelief(build_path(random))
     # The car has driven some 20 m.
     assert known.quantiles(np.array([5.0]), 0.05) > nothing.quantiles(np.array([5.0]), 0.05)
+    old = time.time() - 7200.0
+    os.utime(file, (old, old))
+    again = " ".join(CliRunner().invoke(app, [*command, "--road", str(file)]).output.split())
+    assert re.search(r"what earlier drives found; the last one ended 720\d s ago", again)
 
 
 def test_an_interruption_of_the_pictures_names_the_folder(

@@ -33,6 +33,7 @@ LIBRARY = str(files("egp_service") / "shipped" / "demo-library.safetensors")
 
 Script: TypeAlias = Mapping[str, list[int] | Literal["always"]]
 READY_FAULTS = {"noise_in_ready", "draining", "weaker_vehicle"}
+_ENCODING = "application/protobuf;egp.v1."
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,13 +177,14 @@ def serve(name: str, endpoint: str, script: Script) -> None:
     def on_query(query: Any) -> None:  # noqa: ANN401
         key = str(query.key_expr)
         if key == testing.ready_key(name):
-            query.reply(key, replica.ready())
+            query.reply(key, replica.ready(), encoding=_ENCODING + "Ready")
             return
         answer = replica.answer(query.payload.to_bytes())
         if answer.error:
-            query.reply_err(answer.error)
+            query.reply_err(answer.error, encoding=_ENCODING + "Error")
         elif answer.payload:
-            query.reply(key, answer.payload, attachment=answer.attachment or None)
+            extra, encoding = answer.attachment or None, _ENCODING + "StepReply"
+            query.reply(key, answer.payload, attachment=extra, encoding=encoding)
         if answer.unended or not (answer.error or answer.payload or answer.ended):
             kept.append(query)  # a query that is never dropped is never answered
 

@@ -86,7 +86,7 @@ def test_a_copy_is_equal(again: Callable[[Step], Step], step: Step) -> None:
 
 def test_another_value_makes_a_step_another_one(step: Step) -> None:
     assert step.friction is not None
-    *others, likelihood, misfit = step.friction.__getnewargs__()
+    told = step.friction.__getnewargs__()
     changes: list[dict[str, Any]] = [
         {"u": step.u + 1.0},
         {"u": step.u[:1]},
@@ -95,7 +95,7 @@ def test_another_value_makes_a_step_another_one(step: Step) -> None:
         {"envelope_distance": 1.0},
         {"late": (b"reply",)},
         {"friction": None},
-        {"friction": Friction(*others, likelihood - 1.0, misfit)},
+        {"friction": Friction(*told[:6], told[6] - 1.0, told[7])},
     ]
     for change in changes:
         assert replace(step, **change) != step
@@ -240,5 +240,5 @@ def test_what_is_printed_shows_the_values(step: Step) -> None:
     friction = step.friction
     assert friction is not None
     assert repr(friction).startswith(f"Friction(mean={friction.mean:.3f}, std={friction.std:.3f}, ")
-    assert repr(friction).endswith(f"informed={friction.informed})")
+    assert repr(friction).endswith(f"informed={friction.informed}, misfit={friction.misfit:.3f})")
     assert repr(Path.rounded_rectangle()) == "Path(length=332.182, closed=True)"

@@ -74,6 +74,16 @@ def test_the_table_of_packages_is_complete() -> None:
     assert {name for cell in cells for name in re.findall(r"`([\w.]+)`", cell)} == rooms | modules
 
 
+@pytest.mark.parametrize("message", ["StepRecord", "PlantTruth"])
+def test_the_document_of_recordings_names_every_field(message: str) -> None:
+    proto = (ROOT / "rust/wire/proto/egp/v1/egp.proto").read_text(encoding="utf-8")
+    (body,) = re.findall(rf"^message {message} \{{\n(.*?)^\}}", proto, re.MULTILINE | re.DOTALL)
+    fields = re.findall(r"^  .*?(\w+) = \d+;", body, re.MULTILINE)
+    assert len(fields) > 10
+    document = (ROOT / "docs/recordings.md").read_text(encoding="utf-8")
+    assert not [field for field in fields if f"`{field}`" not in document]
+
+
 def test_the_wire_documents_name_every_field_and_code() -> None:
     proto = (ROOT / "rust/wire/proto/egp/v1/egp.proto").read_text(encoding="utf-8")
     documents = [ROOT / "docs/wire.md", ROOT / "docs/map.md"]

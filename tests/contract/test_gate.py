@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import math
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -15,6 +19,7 @@ from egp_service._core import (
 from egp_service._core.testing import Gate
 from egp_service.shipped import DEMO_LIBRARY
 
+WIRE = Path(__file__).parents[2] / "docs/wire.md"
 LIMITS = VehicleParameters.commonroad(1).gate_limits()
 
 
@@ -88,3 +93,39 @@ def test_a_driver_accepts_limits_that_differ_by_rounding_and_the_same_car_with_a
     ):
         with pytest.raises(InvalidArgumentError, match=message):
             InProcessDriver(engine, gate=LIMITS | change)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_formulas_of_the_wire_document_give_the_commands_of_the_gate(seed: int) -> None:
+    """The vehicle's angle follows the rates, but for jumps; limits, speeds and plans are random."""
+    random = np.random.default_rng(seed)
+    factors = {name: float(random.uniform(0.2, 1.0)) for name in LIMITS}
+    limits = {name: value * factors[name] for name, value in LIMITS.items()}
+    limits["mass"] = LIMITS["mass"]
+    for name in ("steering_angle", "steering_slew"):
+        limits[name] *= 10.0 ** -random.uniform(0.0, 2.0)
+    stop, dt = -0.5 * limits["force_min"] / limits["mass"], float(random.choice([0.005, 0.02, 0.1]))
+    blocks = re.findall(r"^```\n(.*?)^```$", WIRE.read_text("utf-8"), re.MULTILINE | re.DOTALL)
+    (formulas,) = (block for block in blocks if "def towards" in block)
+    known = {"clip": lambda a, b, c: min(max(a, b), c), "dt": dt, "stop_deceleration": stop}
+    exec(formulas, f := {**vars(math), **limits, **known})  # noqa: S102
+    gate = Gate(dt, limits | {"stop_deceleration": stop, "max_tail_ticks": 5.0})
+    previous, delta = (0.0, 0.0), 0.0
+    for tick in range(400):
+        v_x = float(random.choice([0.0, *random.uniform(-1.0, 1.0, 2), *random.uniform(0, 60, 3)]))
+        if random.uniform() < 0.1:
+            delta = limits["steering_angle"] * float(random.uniform(-3.0, 9.0))
+        wanted = (f["stop_force"](v_x), 0.0)
+        if tick >= 20:
+            planned = random.uniform(-1.5, 1.5, 2) * (limits["force_max"], limits["steering_rate"])
+            wanted = (float(planned[0]), float(planned[1]) if tick % 100 < 50 else -9.0)
+            gate.accept(tick, [wanted])
+        command = gate.command(tick, v_x, delta)
+        assert command.mode == ("waiting" if tick < 20 else "normal")
+        expected = (
+            f["limited_force"](wanted[0], previous[0], v_x),
+            f["limited_rate"](wanted[1], previous[1], delta),
+        )
+        assert command.u == pytest.approx(expected, rel=1e-12, abs=1e-12)
+        previous = command.u
+        delta += dt * command.u[1]

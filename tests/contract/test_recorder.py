@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import resource
 import signal
 from contextlib import contextmanager
@@ -10,14 +11,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from google.protobuf.timestamp_pb2 import Timestamp
+from mcap.writer import Writer
+from typer.testing import CliRunner
 
 from egp_service import Controller, InvalidArgumentError, Plant, Recorder
+from egp_service.cli import app
 from egp_service.control.recorded import RecordingError, read_recording
-from egp_service.control.recorder import FLUSH_STEPS
+from egp_service.control.recorder import ABOUT, FLUSH_STEPS
 from egp_service.shipped import DEMO_LIBRARY
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
     from egp_service import Step
@@ -190,3 +194,84 @@ def test_a_damaged_head_is_an_error_in_words(
         except RecordingError:
             errors += 1
     assert errors > 10
+
+
+@pytest.fixture
+def other(tmp_path: Path, step: Step) -> Callable[[dict[str, str]], Path]:
+    """Write a recording of one step with these metadata, as a client in another language may."""
+    file, reply = tmp_path / "other.mcap", step.reply
+    assert reply is not None
+
+    def write(about: dict[str, str]) -> Path:
+        with file.open("wb") as stream:
+            writer = Writer(stream)
+            writer.start()
+            writer.add_metadata(ABOUT, about)
+            for topic, data in (("/request", step.request), ("/reply", reply)):
+                channel = writer.register_channel(topic, "protobuf", 0)
+                writer.add_message(channel, 0, data, 0)
+            writer.finish()  # type: ignore[no-untyped-call]
+        return file
+
+    return write
+
+
+def needed(controller: Controller) -> dict[str, str]:
+    """Give the metadata without which a recording cannot be replayed."""
+    return {
+        "library": controller.library.hex(),
+        "members": json.dumps(list(controller.members)),
+        "dt": str(controller.dt),
+        "horizon": str(controller.horizon),
+    }
+
+
+def test_the_recording_of_another_program_can_be_replayed(
+    other: Callable[[dict[str, str]], Path], controller: Controller
+) -> None:
+    file = other(needed(controller))
+    result = CliRunner().invoke(app, ["replay", str(file)])
+    assert result.exit_code == 0, result.exception
+    assert "(mu 0.5, mu 1.1), egp-service not stated with vector instructions" in result.output
+    assert "All 1 replies have the same bytes as recorded." in result.output
+    read = read_recording(file)
+    assert (read.dt, read.horizon) == (controller.dt, controller.horizon)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "told"),
+    [
+        ("library", None, "library is missing: expected the SHA-256 of the library as 64 lower"),
+        ("library", "zz", "library is 'zz'"),
+        ("library", "0" * 63 + "A", "library is '000000000000...000000000000A'"),
+        ("members", None, "members is missing: expected the names of the members as a JSON list"),
+        ("members", "mu", "members is 'mu'"),
+        ("members", "5", "members is '5'"),
+        ("members", "[1, 2]", "members is '[1, 2]'"),
+        ("members", "[]", "members is '[]'"),
+        ("members", '["\\ud800"]', "members is "),
+        ("members", "[" * 100_000, "members is '[[[["),
+        ("dt", None, "dt is missing: expected the control period in s, a number above 0"),
+        ("dt", "x", "dt is 'x'"),
+        ("dt", "0", "dt is '0'"),
+        ("dt", "inf", "dt is 'inf'"),
+        ("horizon", None, "horizon is missing: expected a whole number from 1 to 128"),
+        ("horizon", "x", "horizon is 'x'"),
+        ("horizon", "-1", "horizon is '-1'"),
+        ("horizon", "129", "horizon is '129'"),
+    ],
+)
+def test_metadata_that_cannot_be_used_are_named(
+    other: Callable[[dict[str, str]], Path],
+    controller: Controller,
+    key: str,
+    value: str | None,
+    told: str,
+) -> None:
+    about = {name: text for name, text in needed(controller).items() if name != key}
+    if value is not None:
+        about[key] = value
+    file = other(about)
+    result = CliRunner().invoke(app, ["replay", str(file)])
+    assert isinstance(result.exception, RecordingError)
+    assert str(result.exception).startswith(f"{file}: metadata 'egp.about': {told}")

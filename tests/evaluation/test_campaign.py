@@ -22,13 +22,12 @@ from egp_service.evaluation.campaign import (
     Outcome,
     drive_trial,
     off_track,
-    require_members,
 )
 from egp_service.evaluation.claims import POOLED, check
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE, Contender, interpolated_weights
 from egp_service.evaluation.entry_speed import RESOLUTION, SLOWEST, highest
 from egp_service.evaluation.experiment import NOISE, Trial
-from egp_service.evaluation.experiments import EXPERIMENTS, OBSTACLE_AVOIDANCE
+from egp_service.evaluation.experiments import EXPERIMENTS, OBSTACLE_AVOIDANCE, with_members
 from egp_service.evaluation.prediction import PredictionOutcome
 from egp_service.evaluation.settling import settling_times
 from egp_service.evaluation.statistics import Interval, grouped, mean, median, wilson
@@ -163,12 +162,12 @@ def test_runs_of_another_build_are_told(tmp_path: Path) -> None:
 def test_a_library_without_all_members_is_refused(tmp_path: Path) -> None:
     library = library_path(load_scenario("rounded-rectangle"))
     write_library_subset(library, tmp_path / "one.safetensors", [0])
-    with pytest.raises(EgpError, match=r"one\.safetensors has 1 member, these experiments need 7"):
-        require_members(tmp_path / "one.safetensors", EXPERIMENTS)
-    with pytest.raises(EgpError, match="2 members, these experiments need 7"):
-        require_members(library, EXPERIMENTS)
-    require_members(SHIPPED, EXPERIMENTS)
-    require_members(library, [])
+    with pytest.raises(EgpError, match=r"one\.safetensors has 1 member, these experiments need 4"):
+        with_members(tmp_path / "one.safetensors", EXPERIMENTS)
+    with pytest.raises(EgpError, match="2 members, these experiments need 4"):
+        with_members(library, EXPERIMENTS)
+    assert with_members(SHIPPED, EXPERIMENTS) == list(EXPERIMENTS)
+    assert with_members(library, []) == []
     command = ["evaluate", "-e", "step-times", "--library", str(library), "-o", str(tmp_path / "o")]
     assert "2 members, these experiments need 4" in str(CliRunner().invoke(app, command).exception)
     assert not (tmp_path / "o").exists()

@@ -13,7 +13,7 @@ from egp_service._core import Library, write_library_subset
 from egp_service.cli import app
 from egp_service.evaluation import disturbances
 from egp_service.evaluation.batch import finish
-from egp_service.evaluation.campaign import Campaign, Outcome, require_members
+from egp_service.evaluation.campaign import Campaign, Outcome
 from egp_service.evaluation.claims import check
 from egp_service.evaluation.contenders import ENSEMBLE
 from egp_service.evaluation.disturbances import (
@@ -28,6 +28,7 @@ from egp_service.evaluation.disturbances import (
 )
 from egp_service.evaluation.disturbed_library import train
 from egp_service.evaluation.experiment import CUSTOM_TRACK
+from egp_service.evaluation.experiments import with_members
 from egp_service.shipped import DEMO_LIBRARY, DISTURBANCE_RECIPE, EVALUATION_LIBRARY
 from egp_service.training.recipe import Displays
 from outcome_example import OUTCOME
@@ -117,9 +118,9 @@ def test_a_library_of_a_disturbance_that_is_trained_again_is_used(tmp_path: Path
 def test_libraries_of_disturbances_need_no_members_of_the_evaluation() -> None:
     experiment = disturbances.experiment()
     own = replace(experiment, contenders=experiment.contenders[:2])
-    require_members(DEMO_LIBRARY, [own])
+    assert with_members(DEMO_LIBRARY, [own]) == [own]
     with pytest.raises(EgpError, match="2 members, these experiments need 4"):
-        require_members(DEMO_LIBRARY, [experiment])
+        with_members(DEMO_LIBRARY, [experiment])
 
 
 def outcome(condition: str, contender: str, seed: int, rms: float) -> Outcome:

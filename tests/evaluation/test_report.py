@@ -8,18 +8,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from egp_service._core import Library
 from egp_service.evaluation.claims import POOLED, check
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
 from egp_service.evaluation.experiments import EXPERIMENTS
 from egp_service.evaluation.figures import draw_scaling
+from egp_service.evaluation.fleet_roads import ALONE, FLEET, SECOND, WRONG
 from egp_service.evaluation.multiple_comparisons import holm
 from egp_service.evaluation.prediction import PredictionOutcome
 from egp_service.evaluation.scaling import StepTime
-from egp_service.evaluation.summary_report import HEADLINE, headline, write_report
+from egp_service.evaluation.summary_report import HEADLINE, headline, why_lost, write_report
+from egp_service.evaluation.unknown_roads import ASSUMED, BELIEF, FIRST
+from egp_service.shipped import EVALUATION_LIBRARY as SHIPPED
 from outcome_example import OUTCOME
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
     from pathlib import Path
 
     from playwright.sync_api import Browser
@@ -55,6 +59,8 @@ def report_of(outcomes: list[Outcome], folder: Path) -> Path:
     return write_report(
         folder,
         "egp evaluate",
+        SHIPPED,
+        plant=None,
         outcomes=outcomes,
         predictions=[],
         speeds=[],
@@ -188,6 +194,8 @@ def test_errors_of_predictions_have_the_deviation_of_a_sample_of_seeds(tmp_path:
         return write_report(
             tmp_path,
             "egp evaluate",
+            SHIPPED,
+            plant=None,
             outcomes=[],
             predictions=predictions,
             speeds=[],
@@ -250,6 +258,8 @@ def test_a_report_leaves_what_it_does_not_contain(outcomes: list[Outcome], tmp_p
         write_report(
             tmp_path,
             "egp evaluate",
+            SHIPPED,
+            plant=None,
             outcomes=runs,
             predictions=[],
             speeds=[],
@@ -269,10 +279,12 @@ def test_a_report_leaves_what_it_does_not_contain(outcomes: list[Outcome], tmp_p
 
 
 def test_the_report_says_what_a_simulator_of_ones_own_does_not_drive(tmp_path: Path) -> None:
-    def about(command: str) -> str:
+    def about(plant: str | None) -> str:
         report = write_report(
             tmp_path,
-            command,
+            "egp evaluate",
+            SHIPPED,
+            plant=plant,
             outcomes=[],
             predictions=[],
             speeds=[],
@@ -282,6 +294,56 @@ def test_the_report_says_what_a_simulator_of_ones_own_does_not_drive(tmp_path: P
         )
         return " ".join(report.read_text(encoding="utf-8").split())
 
-    own = about("egp evaluate --plant a:B")
-    assert "except those of <i>prediction</i> and <i>step-times</i>" in own
-    assert "simulator of --plant" not in about("egp evaluate")
+    own = about("a:B")
+    assert "All runs use the simulator <code>a:B</code>, except those of <i>prediction</i>" in own
+    assert "the simulator <code>" not in about(None)
+
+
+def test_the_report_names_library_vehicle_and_members(tmp_path: Path) -> None:
+    report = " ".join(report_of([], tmp_path).read_text(encoding="utf-8").split())
+    library = Library.load(SHIPPED)
+    told = f"<code>{SHIPPED}</code> (SHA-256 {library.id}) of the vehicle <i>commonroad-1</i> of "
+    assert f"{told}1225.89 kg, with the members <i>mu 0.5</i>, <i>mu 0.6</i>," in report
+
+
+def test_reference_speeds_have_a_row_with_their_times() -> None:
+    def driven(experiment: str, times: Mapping[str, float | None]) -> list[Outcome]:
+        return [
+            replace(
+                outcome(experiment, name, 0.02),
+                condition="first lap",
+                completed=time is not None,
+                time=time or 1.0,
+            )
+            for name, time in times.items()
+        ]
+
+    times = {ORACLE: 50.0, f"{BELIEF}3%": 61.0, f"{BELIEF}5%": 60.0}
+    sources = {f"{ASSUMED}0.3": 90.0, f"{ASSUMED}0.4": 80.04, f"{ASSUMED}0.6": None}
+    maps = {ORACLE: 50.0, ALONE: 60.0, SECOND: 55.0, WRONG: 51.0}
+    assert headline([*driven(FIRST, {**times, **sources}), *driven(FLEET, maps)]) == [
+        (
+            FIRST,
+            "first lap, found, risk 5%",
+            "1/1, 60.0 s",
+            "1/1, 80.0 s assumed 0.4",
+            "1/1, 50.0 s",
+        ),
+        (FLEET, "first lap, map of one car", "1/1, 55.0 s", "1/1, 60.0 s no map", "1/1, 50.0 s"),
+    ]
+    lost: dict[str, float | None] = dict.fromkeys((ORACLE, f"{BELIEF}5%"))
+    (row,) = headline(driven(FIRST, lost))
+    assert row[2:] == ("0/1", "-", "0/1")
+
+
+def test_reasons_of_lost_runs_are_told_by_their_number(outcomes: list[Outcome]) -> None:
+    assert not why_lost(outcomes)
+    beside = [f"more than 3 m beside the path: {error} m" for error in ("+3.02", "-3.10")]
+    reasons = ["took too long", *beside, "lost control: a:B", "stopped by the gate: no plan"]
+    lost = [replace(OUTCOME, completed=False, reason=reason) for reason in reasons]
+    assert why_lost([*outcomes, *lost]) == [
+        "5 of 20 runs did not complete. Most frequent reasons:",
+        "- 2 of them: more than 3 m beside the path (first: +3.02 m)",
+        "- 1 of them: took too long",
+        "- 1 of them: lost control (first: a:B)",
+    ]

@@ -57,6 +57,7 @@ MINUTES: Final = {
     ("simulation", "egp simulate --seeds"): ("stories/stories.py", '"--seeds=0..1"'),
     ("simulator", "egp evaluate"): ("closed_loop/test_own_plant.py", '"--plant"'),
     ("your-data", "egp vehicle fit"): ("train/test_vehicle_fit.py", '"fit"'),
+    ("your-data", "egp collect -o suv-wet"): ("train/test_own_simulator.py", '"--plant"'),
     ("your-data", "egp drive"): ("closed_loop/test_start.py", "vehicle_file=str(file)"),
     ("your-data", "egp train --recipe"): ("train/test_data_commands.py", '"--recipe"'),
 }

@@ -9,9 +9,10 @@ import pytest
 from plant_log import COLUMNS, options, plant_log
 from typer.testing import CliRunner
 
-from egp_service import EgpError
+from egp_service import EgpError, VehicleParameters
 from egp_service.cli import app
-from egp_service.data import motion_limits
+from egp_service.control.toml_text import dumps
+from egp_service.data import motion_limits, plausibility
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -55,6 +56,22 @@ def test_single_outliers_of_the_steering_angle_are_none() -> None:
     log["delta"][::50] += 0.2
     with pytest.raises(EgpError, match=r"changes faster than 6 rad/s in 3\.9% of the rows"):
         check(log)
+
+
+def test_small_vehicles_turn_and_steer_faster(tmp_path: Path) -> None:
+    assert plausibility.largest("omega", None) == plausibility.largest("omega", 2.4) == 6.0
+    assert plausibility.largest("omega", 0.5) == plausibility.largest("delta_dot", 0.5) == 12.0
+    assert plausibility.largest("v_x", 0.5) == plausibility.largest("v_x", None)
+    log = plant_log()
+    log["omega"] *= 8.0 / np.abs(log["omega"]).max()
+    command = ["collect", *options(tmp_path / "log.csv", log), "-o", str(tmp_path / "a.parquet")]
+    result = CliRunner().invoke(app, command)
+    assert "omega reaches 8 rad/s" in str(result.exception)
+    car = VehicleParameters.commonroad(1).fields()
+    small = {"l_f": 0.2, "l_r": 0.3, "mass": 10.0, "yaw_inertia": 0.6, "width": 0.3}
+    (tmp_path / "car.toml").write_text(dumps(car | small), encoding="utf-8")
+    command += ["--vehicle", str(tmp_path / "car.toml")]
+    assert "reaches" not in str(CliRunner().invoke(app, command).exception)
 
 
 def test_coarse_steps_of_the_steering_angle_are_no_failure() -> None:

@@ -16,7 +16,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from surfaces import provenance
 from typer.testing import CliRunner
 
-from egp_service import Controller, EgpError, Plant, Recorder, shipped
+from egp_service import EgpError
 from egp_service.cli import app
 from egp_service.data.alignment import consecutive
 from egp_service.data.dataset import Dataset
@@ -316,37 +316,6 @@ def test_mcap_files_with_json(tmp_path: Path) -> None:
     np.testing.assert_allclose(table["time"], 0.02 * np.arange(5))
     with pytest.raises(EgpError, match=r"has no 'velocity', found timestamp, speed"):
         read_recording(path, ["/car/velocity"], 0.02)
-
-
-def test_a_recording_of_this_project_is_a_log(tmp_path: Path) -> None:
-    path = tmp_path / "own.mcap"
-    limits = Plant().parameters.gate_limits()
-    with Controller(str(shipped.DEMO_LIBRARY), gate=limits) as controller:
-        s = 15.0 * controller.dt * np.arange(controller.horizon + 1)
-        reference = np.column_stack([s, 0 * s, 0 * s + 15.0, 0 * s])
-        with Recorder(path, controller) as recorder:
-            forces = []
-            for k in range(10):
-                step = controller.step(np.array([0.0, 0.1, 15.0 + k, 0, 0, 0, 0]), reference)
-                recorder.add(step, np.array([0.0, 0.1, 15.0 + k, 0, 0, 0, 0]), 0.02 * k)
-                forces.append(step.u[0])
-    table = read_recording(path, ["/step/v_x", "/step/force", "/step/weights[0]"], 0.02)
-    assert table["/step/v_x"].to_list() == [15.0 + k for k in range(10)]
-    assert table["/step/force"].to_list() == forces
-    assert table["/step/weights[0]"][0] == 0.5  # of two members
-    np.testing.assert_allclose(table["time"], 0.02 * np.arange(10), rtol=0.0, atol=1e-9)
-    with pytest.raises(EgpError, match=r"has no 'speed', found .*v_x"):
-        read_recording(path, ["/step/speed"], 0.02)
-    for index in (2, 5):
-        with pytest.raises(EgpError, match=rf"has no '{index}': there are 2 entries, from 0"):
-            read_recording(path, [f"/step/weights[{index}]"], 0.02)
-    assert read_recording(str(path), list(table.columns[1:]), 0.02).equals(table)
-    for names in (list[str](), "/step/v_x"):
-        with pytest.raises(EgpError, match="expected a list of TOPIC/"):
-            read_recording(path, names, 0.02)
-    for dt in (0.0, -0.02, float("nan"), float("inf")):
-        with pytest.raises(EgpError, match=f"dt is {dt}: expected a positive period in s"):
-            read_recording(path, ["/step/v_x"], dt)
 
 
 def test_parquet_files_with_times_of_the_clock(tmp_path: Path) -> None:

@@ -277,6 +277,23 @@ def test_topics_of_other_programs_are_named(
     assert re.search(message, failure(file, "--save", tmp_path / "run.rrd"))
 
 
+@pytest.mark.parametrize("members", [None, "mu", "5", "[1, 2]"])
+def test_members_that_cannot_be_read_are_named(tmp_path: Path, members: str | None) -> None:
+    file = tmp_path / "own.mcap"
+    with file.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        about = {"dt": "x"} if members is None else {"members": members}
+        writer.add_metadata("egp.about", about)
+        schema = writer.register_schema("egp.v1.StepRecord", "protobuf", b"")
+        channel = writer.register_channel("/step", "protobuf", schema)
+        writer.add_message(channel, 0, b"", 0)
+        writer.finish()  # type: ignore[no-untyped-call]
+    told = failure(file, "--save", tmp_path / "run.rrd")
+    found = "missing" if members is None else repr(members)
+    assert told.startswith(f"{file}: metadata 'egp.about': members is {found}: expected the names")
+
+
 def test_without_a_display_the_error_names_the_option_and_nothing_is_reported_home(
     run: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -23,12 +23,19 @@ def heading(path: Path, recorded: Recorded) -> str:
     about = recorded.about
     text = (
         f"{path}: {len(recorded.steps)} control steps with library {about['library'][:12]}… "
-        f"({', '.join(recorded.members)}), egp-service {about['version']}, "
-        f"vector instructions {about['vector_instructions']}"
+        f"({', '.join(recorded.members)}), {_recorded_by(recorded)}"
     )
     if recorded.missing:
         text += f"\n{recorded.missing}"
     return text
+
+
+def _recorded_by(recorded: Recorded) -> str:
+    """Name the version and the vector instructions, which recordings of other programs may lack."""
+    program, instructions = (
+        recorded.about.get(key, "not stated") for key in ("version", "vector_instructions")
+    )
+    return f"egp-service {program} with vector instructions {instructions}"
 
 
 def outcome(
@@ -56,8 +63,7 @@ def outcome(
     lines.append(f"{int((~replay.same).sum())} of {n} replies differ.")
     if not changed:
         lines.append(
-            f"Recorded by egp-service {recorded.about['version']} with vector instructions "
-            f"{recorded.about['vector_instructions']}; this is {version('egp-service')} with "
+            f"Recorded by {_recorded_by(recorded)}; this is {version('egp-service')} with "
             f"{vector_instructions()}."
         )
     lines.append(f"First difference: {_place(replay, replay.first_different)}")

@@ -37,6 +37,9 @@ _COVERED: Final = 0.8
 """Share of held-out data in the 95 % intervals below which a member is badly calibrated."""
 _FAR: Final = 3.0
 """Standard deviations of the prior beyond which a fitted parameter is implausible."""
+_MISFIT: Final = 1.2
+"""Median misfit above which the members do not predict the vehicle. It was at most 0.72 with the
+vehicle that a library was trained for, and from 1.4 on with disturbances or another vehicle."""
 MOTION_NAMES: Final = tuple(list(STATE)[column] for column in MOTION)
 
 
@@ -96,6 +99,18 @@ def no_plan(summary: Summary) -> str | None:
         return None
     reason = next(iter(summary.no_plan_reasons))
     return f"No plan in {missing} of {summary.periods} periods: {reason}"
+
+
+def misfit(summary: Summary) -> str | None:
+    """Say that the members do not predict the vehicle of a run; None if they do."""
+    found = summary.friction
+    if found is None or found.misfit is None or found.misfit <= _MISFIT:
+        return None
+    return (
+        f"The members of the library do not predict this vehicle: the median misfit is "
+        f"{found.misfit:.1f}, and without a systematic error 0.8 (docs/problem.md, section 8). Do "
+        "not trust the friction that was found; train a library for this vehicle and its load"
+    )
 
 
 def validation_table(matrix: list[list[Cell]]) -> Table:

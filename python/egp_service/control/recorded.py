@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import json
+import math
 import os
+import re
+import reprlib
 import tomllib
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from google.protobuf.message import DecodeError
@@ -21,7 +25,7 @@ from egp_service.control.recorder import ABOUT, NANOSECONDS, SCENARIO, SETTINGS
 from egp_service.control.step import EqualByValue
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping
     from typing import BinaryIO
 
     from mcap.records import McapRecord
@@ -84,7 +88,91 @@ class Recorded(EqualByValue):
     @property
     def members(self) -> list[str]:
         """Surfaces, in the order of the weights."""
-        return [str(name) for name in json.loads(self.about["members"])]
+        return member_names(self.about["members"])
+
+    @property
+    def dt(self) -> float:
+        """Control period, s."""
+        return _period(self.about["dt"])
+
+    @property
+    def horizon(self) -> int:
+        """Number of periods that are planned."""
+        return _horizon(self.about["horizon"])
+
+
+_HASH: Final = re.compile("[0-9a-f]{64}")
+_LONGEST_HORIZON: Final = 128
+"""Largest horizon of a message."""
+
+
+def member_names(text: str) -> list[str]:
+    """Read the names of the members, a list in JSON.
+
+    Raises:
+        ValueError: for anything else.
+
+    """
+    try:
+        names = json.loads(text)
+    except RecursionError:
+        raise ValueError("too deep") from None
+    if not (isinstance(names, list) and names and all(isinstance(name, str) for name in names)):
+        raise ValueError("not a list of texts")
+    "".join(names).encode()  # half of a surrogate pair cannot be shown
+    return names
+
+
+def _library(text: str) -> str:
+    if _HASH.fullmatch(text) is None:
+        raise ValueError("not a hash")
+    return text
+
+
+def _period(text: str) -> float:
+    seconds = float(text)
+    if not (math.isfinite(seconds) and seconds > 0.0):
+        raise ValueError("not a period")
+    return seconds
+
+
+def _horizon(text: str) -> int:
+    periods = int(text)
+    if not 1 <= periods <= _LONGEST_HORIZON:
+        raise ValueError("out of range")
+    return periods
+
+
+_ABOUT: Final[Mapping[str, tuple[Callable[[str], object], str]]] = MappingProxyType(
+    {
+        "library": (_library, "the SHA-256 of the library as 64 lower-case hexadecimal digits"),
+        "members": (member_names, "the names of the members as a JSON list of texts"),
+        "dt": (_period, "the control period in s, a number above 0"),
+        "horizon": (_horizon, f"a whole number from 1 to {_LONGEST_HORIZON}"),
+    }
+)
+"""The keys of `ABOUT` without which a recording cannot be replayed, each with the function that
+reads its text, and what this function expects."""
+
+
+def check_about(path: Path, about: Mapping[str, str], *keys: str) -> None:
+    """Check that the metadata `ABOUT` of a recording have these keys with usable values.
+
+    Raises:
+        RecordingError: naming the first key that is missing or has another value.
+
+    """
+    for key in keys:
+        read, expected = _ABOUT[key]
+        found = f"{key} is missing"
+        if key in about:
+            try:
+                read(about[key])
+            except ValueError:
+                found = f"{key} is {reprlib.repr(about[key])}"
+            else:
+                continue
+        raise RecordingError(f"{path}: metadata {ABOUT!r}: {found}: expected {expected}")
 
 
 def missing(end: Footer | Damage | None) -> str:
@@ -141,6 +229,7 @@ def _read(path: Path) -> Recorded:
             f"{path}: expected a recording with the metadata {ABOUT!r}, found none; recordings of "
             "earlier versions cannot be replayed: drive again with `egp drive`"
         )
+    check_about(path, metadata[ABOUT], *_ABOUT)
     settings = metadata.get(SETTINGS)
     scenario = metadata.get(SCENARIO)
     return Recorded(

@@ -144,7 +144,7 @@ def replay(
 
 
 def _check(recorded: Recorded, engine: Engine, window: int) -> None:
-    dt, horizon = float(recorded.about["dt"]), int(recorded.about["horizon"])
+    dt, horizon = recorded.dt, recorded.horizon
     if engine.dt != dt:
         raise RecordingError(
             f"the recording has a period of {dt:g} s, the library {engine.dt:g} s: "

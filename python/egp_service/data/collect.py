@@ -1,4 +1,4 @@
-"""Collection of a dataset of one surface on the plant, in parallel processes.
+"""Collection of a dataset of one surface in simulation, in parallel processes.
 
 Runs on tracks give the usual states of vehicles, and random states give unusual but possible ones.
 The result does not depend on the number of processes.
@@ -92,5 +92,7 @@ def _run(experiment: Experiment, settings: CollectionSettings, number: int) -> D
     count = len(settings.tracks)
     seed = (1_000_003 * (experiment.seed + 1) + number) % SEEDS
     name, reverse = settings.tracks[number % count], number // count % 2 == 1
-    track = ExplorationTrack(name, experiment.parameters, seed, reverse=reverse)
+    track = ExplorationTrack(
+        name, experiment.parameters, seed, reverse=reverse, wheelbase=experiment.wheelbase
+    )
     return explore(dataclasses.replace(experiment, seed=seed), track, settings.exploration)

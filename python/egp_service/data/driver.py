@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from egp_service.data.experiment import WHEELBASE, largest_demand
+from egp_service.data.experiment import largest_demand
 from egp_service.quantities import P_X, P_Y, V_X
 
 if TYPE_CHECKING:
@@ -46,6 +46,7 @@ class Driver:
     vehicle: VehicleParameters
     noise: float
     mu: float
+    wheelbase: float
     _a: float = 0.0
     _delta_dot: float = 0.0
     _noise: tuple[float, float] = (0.0, 0.0)
@@ -57,7 +58,7 @@ class Driver:
         ahead = math.cos(psi) * (aim[P_X] - p_x) + math.sin(psi) * (aim[P_Y] - p_y)
         left = -math.sin(psi) * (aim[P_X] - p_x) + math.cos(psi) * (aim[P_Y] - p_y)
         curvature = 2.0 * left / max(ahead * ahead + left * left, 1.0)
-        wanted = math.atan(WHEELBASE * curvature) + _UNDERSTEER * v_x * v_x * curvature
+        wanted = math.atan(self.wheelbase * curvature) + _UNDERSTEER * v_x * v_x * curvature
         wanted += _YAW_GAIN * (v_x * curvature - omega)
         wanted = min(_MAX_STEERING, max(-_MAX_STEERING, wanted))
         forward = (reference[1, V_X] - reference[0, V_X]) / self.dt

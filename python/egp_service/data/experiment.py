@@ -1,18 +1,25 @@
-"""Parameters of data collection: vehicle with its disturbances, surface, period and limits."""
+"""Parameters of data collection: vehicle with its disturbances, surface, period and limits.
+
+The vehicle is the built-in one, or a user's simulator.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+import math
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
 from egp_service._core import GRAVITY, EgpError, Plant, VehicleParameters, surface_friction
 from egp_service.data.provenance import Provenance
+from egp_service.quantities import DELTA, OMEGA, P_X, P_Y, PSI, V_X, V_Y
 from egp_service.vehicle import simulated_name
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
 SEEDS: Final = 1 << 63
@@ -66,6 +73,44 @@ def check_range(
         raise EgpError(f"{name} is {value}: expected the smaller number first")
 
 
+class SimulatedVehicle(Protocol):
+    """What drives for data; states are `[p_x, p_y, v_x, psi, v_y, omega, delta]` in SI units."""
+
+    def reset(self, x: NDArray[np.float64]) -> None:
+        """Put the vehicle into the state `x` (7,)."""
+
+    def step(self, u: NDArray[np.float64], dt: float, friction: float | str) -> None:
+        """Drive `dt` seconds with the constant input `u = [F_x, delta_dot]` on one surface.
+
+        Raises:
+            VehicleLostError: if the vehicle has spun, or its state is no longer finite.
+
+        """
+
+    @property
+    def state(self) -> NDArray[np.float64]:
+        """The state (7,)."""
+
+
+class _BuiltIn:
+    """The plant as a `SimulatedVehicle`."""
+
+    def __init__(self, plant: Plant) -> None:
+        self._plant = plant
+
+    def reset(self, x: NDArray[np.float64]) -> None:
+        self._plant.reset(
+            x=x[P_X], y=x[P_Y], yaw=x[PSI], v=x[V_X], yaw_rate=x[OMEGA], v_y=x[V_Y], delta=x[DELTA]
+        )
+
+    def step(self, u: NDArray[np.float64], dt: float, friction: float | str) -> None:
+        self._plant.step(u, dt, friction)
+
+    @property
+    def state(self) -> NDArray[np.float64]:
+        return self._plant.vehicle_state
+
+
 @dataclasses.dataclass(frozen=True)
 class Experiment:
     """One vehicle on one surface."""
@@ -109,6 +154,10 @@ class Experiment:
         """
         return Plant(self.vehicle, self.disturbances)
 
+    def simulated(self) -> SimulatedVehicle:
+        """Return what drives for the data."""
+        return _BuiltIn(self.plant())
+
     @property
     def mu(self) -> float:
         """Friction coefficient by which the surface is labelled: the peak of a preset.
@@ -129,6 +178,16 @@ class Experiment:
         """Mass of the vehicle without a load, kg."""
         return self.plant().mass
 
+    @property
+    def wheelbase(self) -> float:
+        """Distance of the axles that the driver assumes, m."""
+        return WHEELBASE
+
+    @property
+    def steering_stop(self) -> float:
+        """Largest steering angle of random states, rad: the built-in car has stops of its own."""
+        return math.inf
+
     def provenance(self, method: str) -> Provenance:
         """Return the provenance of data that `method` collected in this experiment."""
         if isinstance(self.friction, str):
@@ -145,3 +204,51 @@ class Experiment:
             method=method,
             tool=tool(),
         )
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class OwnExperiment(Experiment):
+    """One vehicle of a user's simulator on one surface; it has no `disturbances`."""
+
+    name: str
+    """Name of the vehicle in datasets."""
+    car: VehicleParameters
+    """The vehicle's parameters, which replace those of `vehicle`."""
+    simulator: str
+    """The simulator as `module:Class`."""
+    make: Callable[[str], SimulatedVehicle]
+    """Makes the simulator by its name; other processes import this function."""
+
+    def simulated(self) -> SimulatedVehicle:
+        """Return a new simulator.
+
+        Raises:
+            EgpError: if it cannot be made.
+
+        """
+        return self.make(self.simulator)
+
+    @property
+    def parameters(self) -> VehicleParameters:
+        """The vehicle's parameters, which the inputs of the data do not exceed."""
+        return self.car
+
+    @property
+    def mass(self) -> float:
+        """Mass of the vehicle, kg."""
+        return self.car.mass
+
+    @property
+    def wheelbase(self) -> float:
+        """Distance of the axles, m."""
+        return self.car.l_f + self.car.l_r
+
+    @property
+    def steering_stop(self) -> float:
+        """Largest steering angle of random states, rad: a simulator need not have stops."""
+        return self.car.steering_angle
+
+    def provenance(self, method: str) -> Provenance:
+        """Return the provenance of data that `method` collected with the simulator."""
+        origin = super().provenance(f"{method} in {self.simulator}")
+        return dataclasses.replace(origin, vehicle=self.name)

@@ -18,14 +18,14 @@ from egp_service._core import EgpError, VehicleLostError
 from egp_service.data.dataset import Dataset
 from egp_service.data.driver import Driver
 from egp_service.data.experiment import check_range
-from egp_service.quantities import DELTA, MOTION, NU, NX, OMEGA, P_X, P_Y, PSI, V_X, V_Y, gp_input
+from egp_service.quantities import MOTION, NU, NX, V_X, gp_input
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
 
-    from egp_service.data.experiment import Experiment
+    from egp_service.data.experiment import Experiment, SimulatedVehicle
     from egp_service.data.exploration_track import ExplorationTrack
 
 STANDING: Final = 1.0
@@ -75,9 +75,10 @@ def explore(
 
     """
     rng = np.random.default_rng(experiment.seed)
+    vehicle = experiment.simulated()
     z, y, trajectory, step = [], [], [], []
     for episode in range(settings.episodes):
-        states, inputs = _episode(experiment, track, settings, episode, rng)
+        states, inputs = _episode(experiment, vehicle, track, settings, number=episode, rng=rng)
         count = len(inputs)
         if count == 0:
             continue
@@ -100,8 +101,10 @@ def explore(
 
 def _episode(
     experiment: Experiment,
+    vehicle: SimulatedVehicle,
     track: ExplorationTrack,
     settings: ExplorationSettings,
+    *,
     number: int,
     rng: np.random.Generator,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -112,34 +115,38 @@ def _episode(
     surface_before = settings.arrival_friction if arrives else experiment.friction
     before = settings.arrival_friction if arrives else experiment.mu
     reaction = rng.uniform(*settings.reaction) if arrives else 0.0
-    plant = experiment.plant()
-    x = track.start(rng.uniform(0.0, track.length), before, grip)
-    plant.reset(x[P_X], x[P_Y], x[PSI], x[V_X], yaw_rate=x[OMEGA], v_y=x[V_Y], delta=x[DELTA])
+    vehicle.reset(track.start(rng.uniform(0.0, track.length), before, grip))
     noise = rng.uniform(*settings.noise)
     driver = Driver(
-        rng, experiment.dt, experiment.mass, experiment.parameters, noise, experiment.mu
+        rng,
+        experiment.dt,
+        experiment.mass,
+        experiment.parameters,
+        noise,
+        experiment.mu,
+        experiment.wheelbase,
     )
 
     def drive(seconds: float, surface: float | str, believed: Callable[[float], float]) -> bool:
         for k in range(round(seconds / experiment.dt)):
-            x = plant.vehicle_state
+            x = vehicle.state
             reference, on_track = track.look(x, believed(k * experiment.dt), grip, experiment.dt)
             if not on_track or x[V_X] < STANDING:
                 return False
             u = driver.input(x, reference)
             try:
-                plant.step(u, experiment.dt, surface)
+                vehicle.step(u, experiment.dt, surface)
             except VehicleLostError:
                 return False
             inputs.append(u)
-            states.append(plant.vehicle_state)
+            states.append(vehicle.state)
         return True
 
     inputs: list[NDArray[np.float64]] = []
     states: list[NDArray[np.float64]] = []
     if not drive(settings.warm_up, surface_before, lambda _: before):
         return np.empty((1, NX)), np.empty((0, NU))
-    inputs, states = [], [plant.vehicle_state]
+    inputs, states = [], [vehicle.state]
     drive(
         settings.seconds,
         experiment.friction,

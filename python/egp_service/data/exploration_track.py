@@ -39,16 +39,24 @@ class ExplorationTrack:
     """A closed track with speed profiles for the requested frictions and grips."""
 
     def __init__(
-        self, name: str, vehicle: VehicleParameters, seed: int = 0, *, reverse: bool = False
+        self,
+        name: str,
+        vehicle: VehicleParameters,
+        seed: int = 0,
+        *,
+        reverse: bool = False,
+        wheelbase: float = WHEELBASE,
     ) -> None:
         """Build a track of `TRACKS`; `reverse` reverses its direction, so that it turns right.
 
-        The speed profiles are those of `vehicle`.
+        The speed profiles are those of `vehicle`, and `wheelbase` (m) gives the steering angle at
+        the start.
         """
         check_track(name)
         path = TRACKS[name](seed)
         self._path = _reversed(path) if reverse else path
         self._vehicle = vehicle
+        self._wheelbase = wheelbase
         self._profiles: dict[tuple[float, int], SpeedProfile] = {}
 
     @property
@@ -61,7 +69,7 @@ class ExplorationTrack:
         at = np.array([s])
         x, y, yaw, curvature = (column[0] for column in self._path.sample(at)[:4])
         v = self._profile(friction, grip).speed(at)[0]
-        return np.array([x, y, v, yaw, 0.0, v * curvature, math.atan(WHEELBASE * curvature)])
+        return np.array([x, y, v, yaw, 0.0, v * curvature, math.atan(self._wheelbase * curvature)])
 
     def look(
         self, x: NDArray[np.float64], friction: float, grip: float, dt: float

@@ -144,14 +144,16 @@ def import_log(
         others = {c.name for q, c in columns.items() if q != "time"} - {base}
         _check_quantities(columns, mass)
         frame = read_recording(path, [base, *sorted(others)], provenance.dt, report)
+        if texts := [c.name for c in frame if not c.dtype.is_numeric()]:
+            raise EgpError(f"{path}: '{texts[0]}' is no number: it is a text")
     else:
         _check_columns(columns, "NAME:UNIT", lambda: _header(path, separator))
         _check_quantities(columns, mass)
         frame = read_table(path, separator)
-    log = _read(path, columns, frame, steering_ratio)
+    log = _read(path, columns, frame, steering_ratio, wheelbase)
     _check_time(log["time"])
     plausibility.check(log, columns, mass, wheelbase)
-    motion_limits.check(log, columns)
+    motion_limits.check(log, columns, wheelbase)
     if mass is not None and "a_x" in log:
         a_x = log["a_x"]
         if front_share is not None:
@@ -274,11 +276,15 @@ def _header(path: Path, separator: str) -> str:
 
 
 def _read(
-    path: Path, columns: Mapping[str, Column], frame: pl.DataFrame, steering_ratio: float
+    path: Path,
+    columns: Mapping[str, Column],
+    frame: pl.DataFrame,
+    steering_ratio: float,
+    wheelbase: float | None,
 ) -> dict[str, NDArray[np.float64]]:
     log = {}
     for quantity, column in columns.items():
-        largest = plausibility.LARGEST[quantity]
+        largest = plausibility.largest(quantity, wheelbase)
         unit, factor = UNITS[column.unit]
         if column.name not in frame.columns:
             if comes_twice(column.name, frame.columns):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from egp_service._core import STANDARD_GRAVITY, EgpError
-from egp_service.data.plausibility import LARGEST, MOVING, runs
+from egp_service.data.plausibility import MOVING, largest, runs
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -28,15 +28,15 @@ _HELD: Final = 0.5
 _SHORTEST: Final = 0.02  # s
 
 
-def check(log: Log, columns: Mapping[str, Column]) -> None:
-    """Check a log in SI units; `columns` are those it was read from.
+def check(log: Log, columns: Mapping[str, Column], wheelbase: float | None = None) -> None:
+    """Check a log in SI units; `columns` are those it was read from, `wheelbase` in m if known.
 
     Raises:
         EgpError: naming the columns, the rows and the likely mistake.
 
     """
     _check_lateral(log, columns)
-    _check_steering(log, columns)
+    _check_steering(log, columns, largest("delta_dot", wheelbase))
 
 
 def _check_lateral(log: Log, columns: Mapping[str, Column]) -> None:
@@ -56,15 +56,15 @@ def _check_lateral(log: Log, columns: Mapping[str, Column]) -> None:
         )
 
 
-def _check_steering(log: Log, columns: Mapping[str, Column]) -> None:
+def _check_steering(log: Log, columns: Mapping[str, Column], most: float) -> None:
     """Check how fast the steering angle changes, as a stated `delta_dot` is checked."""
-    name, largest = columns["delta"].name, LARGEST["delta_dot"]
+    name = columns["delta"].name
     delta, periods = log["delta"], np.diff(log["time"])
     rate = np.abs(np.diff(delta)) / np.maximum(periods, _SHORTEST)
-    fast = rate > largest
+    fast = rate > most
     if fast.mean() > _OUTLIERS:
         raise EgpError(
-            f"'{name}' changes faster than {largest:g} rad/s in {fast.mean():.1%} of the rows, "
+            f"'{name}' changes faster than {most:g} rad/s in {fast.mean():.1%} of the rows, "
             "which no steering does: check its unit, add --steering-ratio if it is the steering "
             "wheel's angle, or smooth it"
         )
@@ -76,7 +76,7 @@ def _check_steering(log: Log, columns: Mapping[str, Column]) -> None:
         if np.median(log["v_x"][first:last]) > MOVING:
             raise EgpError(
                 f"'{name}' stays at {delta[first]:.4g} rad from row {first} to {last - 1}, "
-                f"{duration:.1f} s, and jumps there by more than {largest:g} rad/s, which no "
+                f"{duration:.1f} s, and jumps there by more than {most:g} rad/s, which no "
                 "steering does: the sensor probably failed; remove these rows, or name the column "
                 "of the measured angle if this is a command"
             )

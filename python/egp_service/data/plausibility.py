@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from egp_service._core import EgpError
+from egp_service._core import MIN_SLIP_SPEED, EgpError, slip_speed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -40,6 +40,8 @@ LARGEST: Final = {
     "bank": 0.7,
 }
 HEAVIEST: Final = 1e5  # kg
+# Small vehicles turn and steer faster, in proportion to one over the square root of their size.
+_FASTER: Final = ("omega", "delta_dot")
 # s; logs of vehicles have 1 to 1000 rows in a second.
 _PERIODS: Final = (1e-3, 1.0)
 # Largest change from one row to the next, and per second: no road vehicle changes faster.
@@ -80,15 +82,15 @@ _ALIKE: Final = 0.05
 # slip little.
 _GENTLE: Final = 0.6
 _SMOOTHING: Final = 0.5  # s
-_LAGS: Final = (
-    0.0,
-    0.25,
-    0.5,
-    0.75,
-    1.0,
-    1.25,
-    1.5,
-)  # s, by which filters may delay an acceleration
+# s, by which filters may delay an acceleration
+_LAGS: Final = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
+
+
+def largest(quantity: str, wheelbase: float | None) -> float:
+    """Return the largest plausible magnitude for a vehicle of this wheelbase, m, if it is known."""
+    if wheelbase is None or quantity not in _FASTER:
+        return LARGEST[quantity]
+    return LARGEST[quantity] * MIN_SLIP_SPEED / slip_speed(wheelbase)
 
 
 def check(

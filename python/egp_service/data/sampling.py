@@ -15,19 +15,18 @@ import numpy as np
 from egp_service._core import GRAVITY, EgpError, VehicleLostError
 from egp_service.data.dataset import Dataset
 from egp_service.data.experiment import (
-    WHEELBASE,
     Experiment,
+    SimulatedVehicle,
     check_range,
     largest_acceleration,
     largest_demand,
 )
-from egp_service.quantities import DELTA, F_X, NY, NZ, OMEGA, P_X, P_Y, PSI, V_X, V_Y
+from egp_service.quantities import DELTA, F_X, NY, NZ, OMEGA, V_X, V_Y
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Columns of the 29 states: v_x, v_y, omega, delta.
-_VISIBLE: Final = (3, 10, 5, 2)
+_VISIBLE: Final = (V_X, V_Y, OMEGA, DELTA)  # columns of the state
 _STANDSTILL: Final = 0.5  # m/s; slower vehicles count as standing
 
 
@@ -72,9 +71,12 @@ def sample(
     """
     bounds = bounds or SamplingBounds()
     rng = np.random.default_rng(experiment.seed)
-    start, inputs = _draw(experiment, count, bounds, rng)
+    start, inputs = _draw(experiment, count, settle + keep, bounds, rng)
     inputs[:, F_X] *= experiment.mass
-    driven = [_drive(experiment, x, u, settle + keep) for x, u in zip(start, inputs, strict=True)]
+    vehicle = experiment.simulated()
+    driven = [
+        _drive(experiment, vehicle, x, u, settle + keep) for x, u in zip(start, inputs, strict=True)
+    ]
     alive = [number for number, states in enumerate(driven) if states is not None]
     survivors = len(alive)
     if survivors == 0:
@@ -92,40 +94,49 @@ def sample(
 
 
 def _drive(
-    experiment: Experiment, x: NDArray[np.float64], u: NDArray[np.float64], periods: int
+    experiment: Experiment,
+    vehicle: SimulatedVehicle,
+    x: NDArray[np.float64],
+    u: NDArray[np.float64],
+    periods: int,
 ) -> NDArray[np.float64] | None:
-    """Drive from the state x (7,) with the input u (2,); return the states (periods + 1, 29).
+    """Drive from the state x (7,) with the input u (2,); return the states (periods + 1, 7).
 
     None if the vehicle spun or stopped.
     """
-    plant = experiment.plant()
-    plant.reset(x[P_X], x[P_Y], x[PSI], x[V_X], yaw_rate=x[OMEGA], v_y=x[V_Y], delta=x[DELTA])
-    states = [plant.state]
+    vehicle.reset(x)
+    states = [vehicle.state]
     for _ in range(periods):
         try:
-            plant.step(u, experiment.dt, experiment.friction)
+            vehicle.step(u, experiment.dt, experiment.friction)
         except VehicleLostError:
             return None
-        states.append(plant.state)
-        if states[-1][_VISIBLE[0]] <= _STANDSTILL:
+        states.append(vehicle.state)
+        if states[-1][V_X] <= _STANDSTILL:
             return None
     return np.array(states)
 
 
 def _draw(
-    experiment: Experiment, count: int, bounds: SamplingBounds, rng: np.random.Generator
+    experiment: Experiment,
+    count: int,
+    periods: int,
+    bounds: SamplingBounds,
+    rng: np.random.Generator,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Draw vehicle states (count, 7) and inputs [a, delta_dot] (count, 2)."""
+    """Draw vehicle states (count, 7) and inputs [a, delta_dot] (count, 2) of so many periods."""
     v_x = rng.uniform(*bounds.v_x, count)
     lateral = bounds.lateral * experiment.mu * GRAVITY * rng.uniform(-1.0, 1.0, count)
     omega = np.clip(lateral / v_x, -bounds.omega, bounds.omega)
     # Sideslip is reduced at low speed, where it decays within a period.
     sideslip = bounds.sideslip * rng.uniform(-1.0, 1.0, count) * np.minimum(1.0, v_x / 8.0)
-    delta = np.arctan(WHEELBASE * omega / v_x)
+    delta = np.arctan(experiment.wheelbase * omega / v_x)
     delta += bounds.steering * rng.uniform(-1.0, 1.0, count)
+    car = experiment.parameters
+    stop = max(0.0, experiment.steering_stop - periods * experiment.dt * car.steering_rate)
+    delta = np.clip(delta, -stop, stop)
     zero = np.zeros(count)
     states = np.column_stack([zero, zero, v_x, zero, v_x * np.tan(sideslip), omega, delta])
-    car = experiment.parameters
     most = largest_demand(experiment.mu)
     a = rng.uniform(max(car.a_min, -most), np.minimum(most, largest_acceleration(v_x, car)))
     delta_dot = rng.uniform(-car.steering_rate, car.steering_rate, count)

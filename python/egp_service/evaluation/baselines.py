@@ -1,6 +1,7 @@
 """Baselines as libraries: their members are vehicles without GPs.
 
-The nominal vehicles are not fitted to data; their parameters are those published with CommonRoad.
+The nominal vehicles are not fitted to data; their parameters are those published with CommonRoad,
+or those that the library states of its vehicle.
 Equations: `SingleTrack` and `Kinematic` in `rust/core/src/vehicle`.
 """
 
@@ -13,6 +14,7 @@ import numpy as np
 from egp_service._core import EgpError, Library, MemberData, VehicleParameters, write_library
 from egp_service.quantities import NY, NZ
 from egp_service.training.euler import euler_steps
+from egp_service.training.vehicle_priors import priors
 from egp_service.vehicle import simulated_name
 
 if TYPE_CHECKING:
@@ -39,25 +41,34 @@ _NO_LIMIT: Final = 1e6  # of the longitudinal grip: the tyres let every force th
 _NO_COUPLING: Final = 1e-6  # of drive and braking with the lateral force
 
 
-def single_track(vehicle: int) -> NDArray[np.float64]:
-    """Parameters (17,) of a CommonRoad vehicle with lateral saturation at `NOMINAL_FRICTION`."""
-    mass, front, rear, inertia, height = _CHASSIS[vehicle]
+def single_track(vehicle: int | VehicleParameters) -> NDArray[np.float64]:
+    """Parameters (17,) of a vehicle with lateral saturation at `NOMINAL_FRICTION`."""
+    mass, front, rear, inertia, height = _chassis(vehicle)
     stiffness = _STIFFNESS / (_SHAPE * NOMINAL_FRICTION)
     tyre = (_NO_COUPLING, _NO_COUPLING, NOMINAL_FRICTION, stiffness, _SHAPE)
     body = (mass, front, rear, inertia / mass, height, _NO_LIMIT, _NO_LIMIT)
     return np.array([*body, *tyre, *tyre])
 
 
-def kinematic(vehicle: int) -> NDArray[np.float64]:
-    """Parameters (3,) of a CommonRoad vehicle whose wheels roll without slip."""
-    return np.array(_CHASSIS[vehicle][:3])
+def kinematic(vehicle: int | VehicleParameters) -> NDArray[np.float64]:
+    """Parameters (3,) of a vehicle whose wheels roll without slip."""
+    return np.array(_chassis(vehicle)[:3])
 
 
-def write(path: Path, kind: str, source: Path, members: Sequence[int], vehicle: int) -> None:
+def _chassis(vehicle: int | VehicleParameters) -> tuple[float, ...]:
+    """Return the chassis of a CommonRoad number, or of parameters, which state no height."""
+    if isinstance(vehicle, int):
+        return _CHASSIS[vehicle]
+    height = priors(vehicle)["h"].centre
+    return vehicle.mass, vehicle.l_f, vehicle.l_r, vehicle.yaw_inertia, height
+
+
+def write(path: Path, kind: str, source: Path, members: Sequence[int], vehicle: int | None) -> None:
     """Write the library of a baseline for comparison with members of the library `source`.
 
     `fitted` contains the vehicle of each of these members. `single-track` and `kinematic` contain
-    one CommonRoad vehicle with the number `vehicle`, with the range of all their training data.
+    one CommonRoad vehicle with the number `vehicle`, or without a number the vehicle of `source`,
+    with the range of all their training data.
 
     Raises:
         EgpError: if the kind is unknown, or if a member has no vehicle.
@@ -69,10 +80,12 @@ def write(path: Path, kind: str, source: Path, members: Sequence[int], vehicle: 
     if kind == "fitted":
         alone = [_fitted(member) for member in chosen]
     elif kind in KINDS:
-        name, parameters = simulated_name(vehicle), VehicleParameters.commonroad(vehicle)
-        model: dict[str, Any] = {"kinematic": kinematic(vehicle)}
+        if vehicle is not None:
+            name, parameters = simulated_name(vehicle), VehicleParameters.commonroad(vehicle)
+        known = parameters if vehicle is None else vehicle
+        model: dict[str, Any] = {"kinematic": kinematic(known)}
         if kind == "single-track":
-            tyred = single_track(vehicle)
+            tyred = single_track(known)
             model = {"single_track": tyred, "euler_steps": euler_steps(tyred, library.dt)}
         envelope = np.array(
             [

@@ -13,6 +13,7 @@ import numpy as np
 
 from egp_service import _core
 from egp_service._core import EgpError, Engine, Library, write_library_subset
+from egp_service.control.toml_text import dumps
 from egp_service.evaluation import baselines, fleet_roads
 from egp_service.evaluation.batch import Batch
 from egp_service.evaluation.contenders import ENSEMBLE, make
@@ -24,6 +25,7 @@ from egp_service.evaluation.settling import resolution, settling_times
 from egp_service.files import write_text
 from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.course import build_path
+from egp_service.simulation.plant import source_file
 from egp_service.simulation.scenario import vehicle_parameters
 from egp_service.workers import in_order, workers
 
@@ -36,6 +38,8 @@ if TYPE_CHECKING:
     from egp_service.simulation.closed_loop import Run
     from egp_service.simulation.scenario import Scenario
 
+VEHICLE_FILE = "vehicle.toml"
+"""File in the folder with the parameters of the library's vehicle."""
 SHOWN_CONTENDERS = (ENSEMBLE, "pooled GP", "nominal single-track")
 
 Result = TypeVar("Result", bound="DataclassInstance")
@@ -93,8 +97,10 @@ class Drive:
 class Campaign:
     """Trials with a folder for the contenders' libraries and the outcomes so far."""
 
-    def __init__(self, folder: Path, library: Path) -> None:
+    def __init__(self, folder: Path, library: Path, plant: str | None = None) -> None:
         """Resume the campaign in `folder`, or start one with the members of `library`.
+
+        `plant` is one's own simulator `module:Class` of the trials, which was loaded before.
 
         Raises:
             EgpError: if the folder belongs to another library.
@@ -104,12 +110,18 @@ class Campaign:
         # The processes of a cluster have other working directories.
         self._folder = folder.absolute()
         self._source = library
-        self._id = Library.load(library).id
+        loaded = Library.load(library)
+        self._id = loaded.id
         self._defaults = Engine(str(library)).settings_toml
         if not _marked(folder / "library.sha256", self._id):
             raise EgpError(f"{folder} contains runs of another library: choose another --output")
         self.of_another_build = not _marked(folder / "program.sha256", _build())
         """Whether outcomes so far may come from another build of this program."""
+        self.of_another_plant = plant is not None and not _marked(
+            folder / f"{file_name(plant)}.sha256", _source_hash(plant)
+        )
+        """Whether outcomes so far may come from another version of the simulator's file."""
+        write_text(folder / VEHICLE_FILE, dumps(loaded.parameters.fields()))
 
     def runs(
         self, trials: Iterable[Trial], report: Callable[[Outcome], None]
@@ -186,13 +198,14 @@ class Campaign:
             # Such a library may be trained again in the same folder.
             name = f"{source.stem}-{_disturbed_id(source)[:16]}-{name}"
         is_baseline = contender.kind in baselines.KINDS
+        number = scenario.vehicle if scenario.vehicle_file is None else None
         if is_baseline:
-            name = f"{contender.kind}-{scenario.vehicle}-{name}"
+            name = f"{contender.kind}-{number or 'own'}-{name}"
         path = self._folder / "libraries" / f"{name}.safetensors"
         if not path.exists():
             path.parent.mkdir(exist_ok=True)
             if is_baseline:
-                baselines.write(path, contender.kind, source, members, scenario.vehicle)
+                baselines.write(path, contender.kind, source, members, number)
             else:
                 write_library_subset(source, path, members)
         control = {**scenario.control, **(contender.control or {})}
@@ -220,32 +233,21 @@ def _shown(experiment: ClosedLoopExperiment) -> list[Trial]:
     ]
 
 
-def require_members(
-    library: Path, experiments: Iterable[ClosedLoopExperiment], timed: Iterable[int] = ()
-) -> None:
-    """Raise `EgpError` unless the library has all members that the experiments need.
-
-    `timed` are the members whose step is timed.
-    """
-    driven = [m for e in experiments for c in e.contenders if not c.disturbed for m in c.members]
-    found = len(Library.load(library).members)
-    wanted = [*driven, *timed]
-    if max(wanted, default=-1) >= found:
-        noun = "member" if found == 1 else "members"
-        raise EgpError(
-            f"{library} has {found} {noun}, these experiments need {max(wanted) + 1} in the "
-            "shipped library's order: egp evaluate --train makes such a library"
-        )
-
-
 def fingerprint(trial: Trial, library: str) -> str:
     """Hash everything on which a trial's outcome depends; `library` includes all settings."""
-    track = trial.scenario.track
-    if track.file is not None:
-        track = replace(track, file=hashlib.sha256(Path(track.file).read_bytes()).hexdigest())
-    scenario = replace(trial.scenario, library=library, track=track).toml()
+    track, vehicle = trial.scenario.track, _file_hash(trial.scenario.vehicle_file)
+    track = replace(track, file=_file_hash(track.file))
+    scenario = replace(trial.scenario, library=library, track=track, vehicle_file=vehicle).toml()
     text = json.dumps([*trial.key, trial.contender.kind, trial.contender.members, scenario])
     return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _file_hash(path: str | Path | None) -> str | None:
+    return None if path is None else hashlib.sha256(Path(path).read_bytes()).hexdigest()
+
+
+def _source_hash(plant: str) -> str:
+    return _file_hash(source_file(plant)) or "without a file"
 
 
 def _disturbed_id(path: Path) -> str:

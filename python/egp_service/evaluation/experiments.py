@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from egp_service._core import VehicleParameters
+from egp_service._core import EgpError, Library, VehicleParameters
 from egp_service.evaluation import disturbances, fleet_roads, hidden_ice, unknown_roads
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE, PAPER_WEIGHTS, Contender
 from egp_service.evaluation.experiment import (
@@ -30,13 +30,14 @@ from egp_service.simulation.course import build_path, build_profile
 from egp_service.simulation.scenario import Measurement, Scenario, Speed, Track, Zone
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
     from pathlib import Path
 
 # Members of the same two surfaces with constant means as in the paper.
 CONSTANT_MEAN: Final = (5, 6)
 FOUR: Final = (M05, M06, M09, M11)
 NARROW: Final = "narrow-track"
+AVOIDANCE: Final = "iso-3888-2"
 REPLAYED: Final = (unknown_roads.FIRST, unknown_roads.LATER, fleet_roads.FLEET)
 """Experiments whose departures are replayed."""
 # Suffix of conditions without measurement noise.
@@ -124,7 +125,7 @@ def _lane_change() -> ClosedLoopExperiment:
     )
 
 
-def _obstacle_avoidance() -> ClosedLoopExperiment:
+def _obstacle_avoidance(half_width: float = HALF_WIDTH) -> ClosedLoopExperiment:
     surfaces: dict[str, tuple[tuple[float, float], ...]] = {
         "μ 1.1": ((0.0, 1.1),),
         "μ 0.8": ((0.0, 0.8),),
@@ -133,9 +134,9 @@ def _obstacle_avoidance() -> ClosedLoopExperiment:
     }
     course = Track("iso-3888-2", parameters={"lead_in": 25.0, "lead_out": 15.0})
     # The cones leave room for the car only; a wider margin would exclude all positions.
-    control: dict[str, object] = {"soft": {"edge_margin": HALF_WIDTH}}
+    control: dict[str, object] = {"soft": {"edge_margin": half_width}}
     return ClosedLoopExperiment(
-        "iso-3888-2",
+        AVOIDANCE,
         "Obstacle avoidance of ISO 3888-2 (paper, experiment 4)",
         "The highest entry speed at which each controller comes through without touching a cone, "
         "by bisection to 0.25 m/s: median over the seeds and its 95 % interval.",
@@ -255,13 +256,13 @@ def _friction_step() -> ClosedLoopExperiment:
     )
 
 
-def _narrow_track() -> ClosedLoopExperiment:
-    size = {**CUSTOM_TRACK.parameters, "track_width": 2.0 * (HALF_WIDTH + 0.4)}
+def _narrow_track(half_width: float = HALF_WIDTH) -> ClosedLoopExperiment:
+    size = {**CUSTOM_TRACK.parameters, "track_width": 2.0 * (half_width + 0.4)}
     track = Track("rounded-rectangle", parameters=size)
     zones = ((0.0, 0.5), (0.33, 1.1), (0.65, 0.8))
 
     def cautious(kappa: float) -> dict[str, object]:
-        return {"soft": {"edge_margin": HALF_WIDTH, "caution": kappa}}
+        return {"soft": {"edge_margin": half_width, "caution": kappa}}
 
     return ClosedLoopExperiment(
         NARROW,
@@ -283,14 +284,52 @@ def _narrow_track() -> ClosedLoopExperiment:
     )
 
 
-def on_plant(experiment: ClosedLoopExperiment, plant: str) -> ClosedLoopExperiment:
+def with_members(
+    library: Path, experiments: Iterable[ClosedLoopExperiment], timed: Iterable[int] = ()
+) -> list[ClosedLoopExperiment]:
+    """Return the experiments without contenders whose members the library lacks.
+
+    Only contenders with other members than those of the four surfaces are left out. `timed` are the
+    members whose step is timed.
+
+    Raises:
+        EgpError: if the library lacks a member of a surface.
+
+    """
+    found = len(Library.load(library).members)
+    most = max(found, len(FOUR))
+
+    def needed(contender: Contender) -> int:
+        return 0 if contender.disturbed else 1 + max(contender.members)
+
+    kept = [
+        replace(e, contenders=tuple(c for c in e.contenders if needed(c) <= most))
+        for e in experiments
+    ]
+    wanted = max([1 + m for m in timed] + [needed(c) for e in kept for c in e.contenders] + [0])
+    if wanted > found:
+        noun = "member" if found == 1 else "members"
+        raise EgpError(
+            f"{library} has {found} {noun}, these experiments need {wanted}, which have the "
+            "frictions 0.5, 0.6, 0.9 and 1.1 in this order: `egp train --mean single-track` makes "
+            "them of a dataset of each, `egp evaluate --train` those of the built-in car"
+        )
+    return kept
+
+
+def on_plant(
+    experiment: ClosedLoopExperiment, plant: str, vehicle: VehicleParameters, file: Path
+) -> ClosedLoopExperiment:
     """Return the experiment with one's own simulator `module:Class` in place of the vehicle.
 
+    Gate, speeds and widths are those of `vehicle`, whose parameters are in the TOML file `file`.
     Conditions that such a simulator does not see are left out: those with another of the built-in
     vehicles, and those with roads whose sides differ.
     """
+    if made := {NARROW: _narrow_track, AVOIDANCE: _obstacle_avoidance}.get(experiment.name):
+        experiment = made(vehicle.width / 2)
     conditions = tuple(
-        (condition, replace(scenario, plant=plant))
+        (condition, replace(scenario, plant=plant, vehicle_file=str(file)))
         for condition, scenario in experiment.conditions
         if scenario.vehicle == 1 and all(len(z.sides()) == 1 for z in scenario.zones)
     )

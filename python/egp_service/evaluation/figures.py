@@ -40,6 +40,7 @@ _BARS: Final = (
     ("E(ABD)", "T", 1),
     ("E(ABCD)", "T", 1),
 )
+_DECADE: Final = 10.0
 _NEAR: Final = 0.02  # points of lap times this close share a label
 
 
@@ -169,8 +170,12 @@ def draw_completion(groups: Sequence[Group], path: Path) -> Path:
         axes[0].set_title("completed runs (95 % interval)")
         axes[0].set_xlim(-0.03, 1.03)
         axes[1].set_title("lateral RMS error, m (median, 95 % interval)")
-        axes[1].set_xscale("log")
-        axes[1].xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        if any(group.lateral_rms.value > 0.0 for group in groups):
+            axes[1].set_xscale("log")
+            axes[1].set_xlabel("logarithmic")
+        low, high = axes[1].get_xlim()
+        steps = (1.0, 2.0, 5.0) if high > _DECADE * low else (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
+        axes[1].xaxis.set_major_locator(LogLocator(subs=steps))
         axes[1].xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
         axes[1].xaxis.set_minor_formatter(NullFormatter())
         _legend_beside(axes[1])

@@ -36,6 +36,8 @@ _REPORTS: Final[dict[str, tuple[int, float | None]]] = {
     OUTVOTED: (2, 1.1),
     SLIPPERY: (0, 0.25),
 }
+MAPS: Final = tuple(_REPORTS)
+"""Names of the contenders with a map."""
 _RISK: Final = 0.05
 _AGE: Final = 60.0  # of all reports, s
 # Evidence of a wrong map: as sharp as a cell can hold, from periods so many m apart.

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import html
-from typing import Final
+from typing import TYPE_CHECKING, Final
+
+from egp_service._core import Library
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 _BUILT_IN: Final = "CommonRoad's multi-body vehicle of 29 states"
-_OWN: Final = (
-    f"the simulator of --plant, except those of <i>prediction</i> and <i>step-times</i>, which use "
-    f"{_BUILT_IN}"
-)
-_ABOUT: Final = """All runs use {vehicle}. They have measurement noise unless a condition says
-otherwise. The controllers have the same optimal control problem, solver, tuning and gate and differ
-only in the model that predicts the vehicle; on roads of unknown friction they have the same model
-and differ only in what their reference speed knows. Errors are errors of the true state. The error
-of an incomplete run is the error up to its end, so errors and completions must be read together.
+_OWN: Final = "the simulator <code>{plant}</code>, except those of <i>prediction</i>, which use "
+_ABOUT: Final = """Library: <code>{file}</code> (SHA-256 {id}) of the vehicle <i>{name}</i> of
+{mass:g} kg, with the members {members}. All runs use {vehicle}. They have measurement noise unless
+a condition says otherwise. The controllers have the same optimal control problem, solver, tuning
+and gate and differ only in the model that predicts the vehicle; on roads of unknown friction they
+have the same model and differ only in what their reference speed knows. Errors are errors of the
+true state. The error of an incomplete run is the error up to its end, so errors and completions
+must be read together.
 Brackets are 95 % intervals over the seeds: Wilson's for shares, and expanded percentile intervals
 of the bootstrap for medians (off track: for the mean). With few seeds these are too narrow: with
 normal errors 75 % of them hold the true value with three seeds, 92 % with five. One run has
@@ -71,10 +75,21 @@ helps."""
 
 BEST: Final = """Completed runs and the median lateral RMS error. The best baseline is the one that
 completes most runs and among these has the smallest median error; variants of the ensemble are not
-among them. <code>egp evaluate</code> prints the same table."""
+among them. Where the controllers differ only in what their reference speed knows, the condition
+names the one that stands for the ensemble, and times replace errors. <code>egp evaluate</code>
+prints the same table."""
 
 
-def about(command: str) -> str:
-    """Return the report's first paragraph, for the command that made the report."""
-    vehicle = _OWN if "--plant" in command else _BUILT_IN
-    return _ABOUT.format(vehicle=vehicle, command=html.escape(command))
+def about(command: str, file: Path, plant: str | None) -> str:
+    """Return the report's first paragraph: library, simulator, and the command that made it."""
+    library = Library.load(file)
+    own = "" if plant is None else _OWN.format(plant=html.escape(plant))
+    return _ABOUT.format(
+        file=html.escape(str(file)),
+        id=library.id,
+        name=html.escape(library.vehicle),
+        mass=library.parameters.mass,
+        members=", ".join(f"<i>{html.escape(member.label)}</i>" for member in library.members),
+        vehicle=own + _BUILT_IN,
+        command=html.escape(command),
+    )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from collections import Counter
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Final
 
@@ -12,6 +13,7 @@ import numpy as np
 from egp_service.evaluation import (
     disturbances,
     figures,
+    fleet_roads,
     hidden_ice,
     report_texts,
     unknown_roads,
@@ -58,7 +60,9 @@ if TYPE_CHECKING:
 def write_report(
     folder: Path,
     command: str,
+    library: Path,
     *,
+    plant: str | None,
     outcomes: Sequence[Outcome],
     predictions: Sequence[PredictionOutcome],
     speeds: Sequence[EntrySpeed],
@@ -68,8 +72,9 @@ def write_report(
 ) -> Path:
     """Write report, figures and tables into `folder`.
 
-    `drives` are runs to draw, by experiment. Figures and tables without data here, which an earlier
-    report may have written, are left as they are.
+    `library` and `plant`, one's own simulator, are those of the `command`. `drives` are runs to
+    draw, by experiment. Figures and tables without data here, which an earlier report may have
+    written, are left as they are.
     """
     _write_csv(folder / "runs.csv", [asdict(o) for o in outcomes])
     _write_csv(folder / "prediction.csv", [asdict(p) for p in predictions])
@@ -105,12 +110,18 @@ def write_report(
     if times:
         sections.append(_step_time_section(folder, times))
     report = folder / "report.html"
-    write_text(report, page("Ensemble GP-MPC: evaluation", report_texts.about(command), sections))
+    write_text(
+        report,
+        page("Ensemble GP-MPC: evaluation", report_texts.about(command, library, plant), sections),
+    )
     return report
 
 
 HEADLINE: Final = ("experiment", "condition", ENSEMBLE, "best baseline", ORACLE)
 """Heads of the rows of `headline`."""
+_REASONS: Final = 3
+# The reference speeds that stand for the ensemble where it is the model of all controllers.
+_STANDING: Final = (f"{unknown_roads.BELIEF}5%", fleet_roads.SECOND)
 
 
 def headline(outcomes: Sequence[Outcome]) -> list[tuple[str, ...]]:
@@ -120,26 +131,52 @@ def headline(outcomes: Sequence[Outcome]) -> list[tuple[str, ...]]:
     for name, condition in dict.fromkeys((g.experiment, g.condition) for g in groups):
         here = [g for g in groups if (g.experiment, g.condition) == (name, condition)]
         named = {g.contender: g for g in here}
-        if ENSEMBLE not in named:  # which compares reference speeds, not controllers
+        own = next((n for n in (ENSEMBLE, *_STANDING) if n in named), None)
+        if own is None:
             continue
-        others = [g for g in here if g.contender not in {ENSEMBLE, *VARIANTS, ORACLE}]
-        best = max(others, key=lambda g: (g.completed, -g.lateral_rms.value), default=None)
+        timed = own != ENSEMBLE
+        alike = {own, *VARIANTS, *fleet_roads.MAPS, ORACLE}
+        others = [
+            g
+            for g in here
+            if g.contender not in alike and not g.contender.startswith(unknown_roads.BELIEF)
+        ]
+        best = max(
+            others,
+            key=lambda g: (g.completed, -(g.time if timed else g.lateral_rms).value),
+            default=None,
+        )
         rows.append(
             (
                 name,
-                condition,
-                _cell(named.get(ENSEMBLE)),
-                f"{_cell(best)} {best.contender}" if best else "-",
-                _cell(named.get(ORACLE)),
+                f"{condition}, {own}" if timed else condition,
+                _cell(named.get(own), timed=timed),
+                f"{_cell(best, timed=timed)} {best.contender}" if best else "-",
+                _cell(named.get(ORACLE), timed=timed),
             )
         )
     return rows
 
 
-def _cell(group: Group | None) -> str:
+def _cell(group: Group | None, *, timed: bool) -> str:
     if group is None:
         return "-"
-    return f"{group.completed}/{group.runs}, {group.lateral_rms.value:.3f} m"
+    through = f"{group.completed}/{group.runs}"
+    if timed:
+        return f"{through}, {group.time.value:.1f} s" if group.completed else through
+    return f"{through}, {group.lateral_rms.value:.3f} m"
+
+
+def why_lost(outcomes: Sequence[Outcome | IceOutcome]) -> list[str]:
+    """Return lines with the most frequent reasons of runs that did not complete."""
+    lost = [o.reason for o in outcomes if not o.completed]
+    if not lost:
+        return []
+    lines = [f"{len(lost)} of {len(outcomes)} runs did not complete. Most frequent reasons:"]
+    for kind, count in Counter(reason.partition(":")[0] for reason in lost).most_common(_REASONS):
+        first = next(reason for reason in lost if reason.startswith(kind)).partition(": ")[2]
+        lines.append(f"- {count} of them: {kind}" + (f" (first: {first})" if first else ""))
+    return lines
 
 
 def _section(

@@ -14,6 +14,7 @@ import numpy as np
 
 from egp_service._core import EgpError, Plant, VehicleLostError
 from egp_service.quantities import DELTA, NX, OMEGA, P_X, P_Y, PSI, V_X, V_Y
+from egp_service.simulation.scenario_checks import check_told
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -150,9 +151,16 @@ class OwnPlant:
 
 
 def make_plant(scenario: Scenario, path: Path) -> CommonRoadPlant | OwnPlant:
-    """Return the vehicle that a scenario's loop drives."""
+    """Return the vehicle that a scenario's loop drives.
+
+    Raises:
+        ScenarioError: if the scenario's `plant` is not told what a zone states.
+        PlantError: as `load_simulator`.
+
+    """
     if scenario.plant is None:
         return CommonRoadPlant(scenario, path)
+    check_told(scenario, scenario.name)
     return OwnPlant(scenario.plant, path)
 
 
@@ -179,10 +187,14 @@ def load_simulator(name: str) -> Simulator:
         try:
             simulator: Simulator = getattr(import_module(module), attribute)()
         except (ImportError, AttributeError, TypeError) as error:
-            raise PlantError(
-                f"plant {name!r} cannot be made: {error}; expected a class without arguments in a "
-                "module of this folder or of an installed package"
-            ) from error
+            advice = (
+                "expected a class without arguments in a module of this folder, of a folder in it "
+                "(folder.my_simulator:Car) or of an installed package"
+            )
+            if module.endswith(".py"):
+                dotted = module.removesuffix(".py").lstrip("./").replace("/", ".")
+                advice = f"expected the name of a module, not of its file: {dotted}:{attribute}"
+            raise PlantError(f"plant {name!r} cannot be made: {error}; {advice}") from error
     # A property may need `reset` first, so it is looked for and not read.
     own = getattr(simulator, "__dict__", {})  # some classes have none
     has = {*dir(type(simulator)), *own}
@@ -197,6 +209,17 @@ def load_simulator(name: str) -> Simulator:
             "and state (docs/simulator.md)"
         )
     return simulator
+
+
+def source_file(name: str) -> FilePath | None:
+    """Return the file that defines a class `module:Class`, which was loaded before.
+
+    None if it has no file, as in a notebook.
+    """
+    module, _, attribute = name.partition(":")
+    defined = getattr(getattr(sys.modules[module], attribute), "__module__", module)
+    file = getattr(sys.modules.get(defined), "__file__", None)
+    return None if file is None else FilePath(file)
 
 
 @contextmanager

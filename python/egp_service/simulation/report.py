@@ -13,7 +13,9 @@ from matplotlib import pyplot as plt
 from matplotlib.backend_bases import FigureCanvasBase
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import LinearSegmentedColormap, Normalize
+from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
+from matplotlib.transforms import ScaledTranslation
 
 from egp_service._core import GRAVITY, EgpError
 from egp_service.files import replacing
@@ -138,6 +140,7 @@ _SHORTEST: Final = 1.0
 """Least length of a plot over distance, m."""
 # A label is centred on a direction that is at most this much of the unit vector towards it.
 _BESIDE: Final = 0.4
+_BAR_BELOW: Final = -20.0  # points, from the place of the lowest label to the bar of the scale
 
 
 def draw_track(ax: Axes, run: Run, speeds: Normalize | None = None) -> LineCollection:
@@ -183,7 +186,9 @@ def draw_track(ax: Axes, run: Run, speeds: Normalize | None = None) -> LineColle
             va="center" if abs(up) < _BESIDE else "bottom" if up > 0.0 else "top",
             color="#5a606b",
         )
-    ax.update_datalim([*labels, *_draw_scale_and_direction(ax, np.vstack([lefts, rights]), run)])
+    edges = np.vstack([lefts, rights])
+    ax.update_datalim([*labels, *_draw_direction(ax, edges, run)])
+    _draw_scale(ax, edges, min(float(edges[:, 1].min()), *(y for _, y in labels)))
     ax.margins(0.04)
     ax.set_aspect("equal")
     ax.autoscale_view()
@@ -191,23 +196,27 @@ def draw_track(ax: Axes, run: Run, speeds: Normalize | None = None) -> LineColle
     return lines
 
 
-def _draw_scale_and_direction(
-    ax: Axes, edges: NDArray[np.float64], run: Run
-) -> list[tuple[float, float]]:
-    """Draw a bar of a round length below the track, and an arrow beside the start."""
-    low, high = edges.min(axis=0), edges.max(axis=0)
-    extent = float((high - low).max())
+def _draw_scale(ax: Axes, edges: NDArray[np.float64], lowest: float) -> None:
+    """Draw a bar of a round length below `lowest`, which is the height of the lowest label."""
+    left, extent = float(edges[:, 0].min()), float(np.ptp(edges, axis=0).max())
     decade = 10.0 ** np.floor(np.log10(0.25 * extent))
     bar = decade * max(step for step in (1.0, 2.0, 5.0) if step * decade <= 0.25 * extent)
-    y = float(low[1]) - 0.1 * extent
-    ax.plot([low[0], low[0] + bar], [y, y], color=INK, linewidth=1.6, solid_capstyle="butt")
-    ax.text(low[0] + bar + 0.02 * extent, y, f"{bar:g} m", va="center", color=INK)
+    # Below the text of a label, whose height does not depend on the track's.
+    below = ax.transData + ScaledTranslation(0.0, _BAR_BELOW / 72.0, ax.figure.dpi_scale_trans)
+    ends = ([left, left + bar], [lowest, lowest])
+    ax.add_artist(Line2D(*ends, transform=below, color=INK, linewidth=1.6, clip_on=False))
+    ax.text(left + bar, lowest, f"  {bar:g} m", transform=below, va="center", color=INK)
+
+
+def _draw_direction(ax: Axes, edges: NDArray[np.float64], run: Run) -> list[tuple[float, float]]:
+    """Draw an arrow beside the start, and return its ends."""
+    extent = float(np.ptp(edges, axis=0).max())
     p_x, p_y, yaw, _, left, *_ = (column[0] for column in run.path.sample(np.zeros(1)))
     beside = (left if np.isfinite(left) else 2.0) + 0.04 * extent
     tail = np.array([p_x - np.sin(yaw) * beside, p_y + np.cos(yaw) * beside])
     head = tail + 0.12 * extent * np.array([np.cos(yaw), np.sin(yaw)])
     ax.annotate("", tuple(head), tuple(tail), arrowprops={"arrowstyle": "->", "color": INK})
-    return [(float(low[0]), y - 0.03 * extent), tuple(head.tolist()), tuple(tail.tolist())]
+    return [tuple(head.tolist()), tuple(tail.tolist())]
 
 
 def _legend_above(ax: Axes, columns: int) -> None:
@@ -321,6 +330,7 @@ def _commands_figure(run: Run) -> Figure:
         label = f"µ g at {mu:g}"
         diagram.plot(mu * np.sin(angle), mu * np.cos(angle), color=colour, lw=0.9, label=label)
     diagram.set(xlabel="to the left [g]", ylabel="forwards [g]", aspect="equal")
+    diagram.locator_params(nbins=5, steps=[1, 2, 5, 10])
     diagram.set_title("Accelerations")
     diagram.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure

@@ -7,14 +7,14 @@ from dataclasses import asdict
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
-from egp_service._core import EgpError
+from egp_service._core import EgpError, surface_friction
 from egp_service.control.controller import settings_text
 from egp_service.simulation.configuration import ConfigurationError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from egp_service.simulation.scenario import Measurement, Speed
+    from egp_service.simulation.scenario import Measurement, Scenario, Speed
 
 MAX_NAME = 50
 # A run's folder has the name, so a name holds nothing that would lead to another folder.
@@ -62,6 +62,21 @@ def check_control(control: Mapping[str, object], origin: str) -> None:
         settings_text(control, "control")
     except EgpError as error:
         raise ScenarioError(f"{origin}: {error}") from error
+
+
+def check_told(scenario: Scenario, origin: str) -> None:
+    """Raise `ScenarioError` for a zone of which a simulator of one's own is told a part only."""
+    for i, zone in enumerate(scenario.zones if scenario.plant is not None else ()):
+        told = f"{scenario.plant} is told one friction coefficient"
+        if len(zone.sides()) > 1:
+            raise ScenarioError(
+                f"{origin}: zones[{i}] has two sides, but {told}: leave out the right one"
+            )
+        if zone.surface is not None:
+            raise ScenarioError(
+                f"{origin}: zones[{i}].surface is a tyre's force over slip, but {told}: "
+                f"state friction = {surface_friction(zone.surface):g} instead"
+            )
 
 
 def check_seed(seed: float, where: str) -> None:

@@ -1,4 +1,4 @@
-"""The summary of a run: completion, tracking errors and times of the control step."""
+"""The summary of a run: completion, tracking errors, friction and times of the control step."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 # Reasons that name numbers differ in each period.
 _REASONS: Final = 10
+_ENOUGH: Final = 250  # periods, of which ten windows share no transition
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +50,43 @@ class Error:
 
 
 @dataclass(frozen=True, slots=True)
+class FrictionFound:
+    """The friction that was found and planned for, beside the true one under the vehicle.
+
+    Coverage and width are those of the 90 % interval in the informed periods, whose last
+    transitions have information about the friction; without such a period they are none.
+    """
+
+    informed: int
+    """Number of informed periods."""
+    coverage: float | None
+    """Share of the intervals that hold the true friction."""
+    median_width: float | None
+    """Median of the upper less the lower end."""
+    planned_over_true: float | None
+    """Mean ratio of the friction for which the reference speed is planned; none if for none."""
+    misfit: float | None
+    """Median of `Friction.misfit` over the periods with information about the friction; none with
+    fewer than 250 of them."""
+
+    @classmethod
+    def of(cls, trace: Trace) -> FrictionFound:
+        """Compare the columns of a run."""
+        informed = np.isfinite(trace.misfit)
+        lower, upper = trace.friction_found[informed].T
+        holds = (lower <= trace.friction[informed]) & (trace.friction[informed] <= upper)
+        planned = trace.friction_planned / trace.friction
+        misfit = trace.misfit[np.isfinite(trace.misfit)]
+        return cls(
+            informed=int(informed.sum()),
+            coverage=float(np.mean(holds)) if informed.any() else None,
+            median_width=float(np.median(upper - lower)) if informed.any() else None,
+            planned_over_true=float(np.nanmean(planned)) if np.isfinite(planned).any() else None,
+            misfit=float(np.median(misfit)) if len(misfit) >= _ENOUGH else None,
+        )
+
+
+@dataclass(frozen=True, slots=True)
 class Summary:
     """Results of a run that are compared between runs."""
 
@@ -73,6 +111,7 @@ class Summary:
     solver_statuses: dict[str, int]
     no_plan_reasons: dict[str, int]
     """Why periods had no plan, the ten most frequent reasons with their numbers of periods."""
+    friction: FrictionFound | None = None
 
     def as_json(self) -> dict[str, object]:
         """Plain values."""
@@ -111,4 +150,5 @@ def summarise(
         stop_ticks=int(np.sum(trace.mode == "stop")),
         solver_statuses=dict(sorted(Counter(trace.status.tolist()).items())),
         no_plan_reasons=dict(reasons.most_common(_REASONS)),
+        friction=FrictionFound.of(trace),
     )

@@ -67,6 +67,9 @@ class Trace:
     friction_found: NDArray[np.float64]
     """(n, 2), 90 % interval of the friction that the last transitions indicate; NaN without a
     reply."""
+    misfit: NDArray[np.float64]
+    """(n,), `Friction.misfit` where the last transitions have information about the friction; NaN
+    elsewhere."""
     weights: NDArray[np.float64]
     """(n, N); NaN before the first reply."""
     step_time: NDArray[np.float64]
@@ -109,6 +112,7 @@ def row_of(period: Period) -> dict[str, object]:
         "speed_error": truth.x[V_X] - truth.speed_reference,
         "friction_planned": truth.friction_planned,
         "friction_found": _interval(step),
+        "misfit": step.friction.misfit if step.friction and step.friction.informed else np.nan,
         "weights": step.weights if step.weights.size else None,
         "step_time": step.timings.total,
         "mode": step.mode,

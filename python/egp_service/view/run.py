@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -14,7 +13,14 @@ from mcap.records import Channel, Footer, Metadata, Schema
 from mcap.records import Message as Record
 
 from egp_service.control.messages import message_class
-from egp_service.control.recorded import Damage, RecordingError, missing, records
+from egp_service.control.recorded import (
+    Damage,
+    RecordingError,
+    check_about,
+    member_names,
+    missing,
+    records,
+)
 from egp_service.control.recorder import ABOUT
 
 if TYPE_CHECKING:
@@ -58,14 +64,15 @@ class RecordedRun:
     @property
     def members(self) -> list[str]:
         """Surfaces, in the order of the weights."""
-        return [str(name) for name in json.loads(self.about["members"])]
+        return member_names(self.about["members"])
 
 
 def read_run(path: Path) -> RecordedRun:
     """Read a recording of `Recorder` or `egp drive` for a viewer.
 
     Raises:
-        RecordingError: for a file that is no such recording, or has no control step.
+        RecordingError: for a file that is no such recording, has no control step, or does not
+            name its members.
         OSError: if the file cannot be read.
 
     """
@@ -79,6 +86,7 @@ def read_run(path: Path) -> RecordedRun:
             f"step, found {len(run.steps)} steps and {'the' if run.about else 'no'} metadata "
             f"{ABOUT!r}"
         )
+    check_about(path, run.about, "members")
     return run
 
 

@@ -12,6 +12,7 @@ from egp_service.cli.options import Cluster, Jobs, check_outputs, check_unused, 
 
 if TYPE_CHECKING:
     from egp_service.data.dataset import Dataset
+    from egp_service.data.experiment import Experiment
     from egp_service.data.log_import import Column
     from egp_service.data.provenance import Provenance
 
@@ -29,7 +30,8 @@ def collect(
     friction: Annotated[
         str,
         typer.Option(
-            help="Friction coefficient, or dry, wet, snow or ice; for a log, its nominal value."
+            help="Friction coefficient, or dry, wet, snow or ice; for a log and with --plant its "
+            "nominal value."
         ),
     ],
     surface: Annotated[
@@ -41,7 +43,14 @@ def collect(
         str | None,
         typer.Option(
             help=f"CommonRoad number of the simulated car, by default {_VEHICLE}; for a log, the "
-            f"car's name, by default {_UNNAMED}, or TOML file."
+            f"car's name, by default {_UNNAMED}, or TOML file; with --plant the TOML file."
+        ),
+    ] = None,
+    plant: Annotated[
+        str | None,
+        typer.Option(
+            help="Simulator of your own to drive, MODULE:CLASS as for `egp drive`, within the "
+            "limits of the car of --vehicle FILE."
         ),
     ] = None,
     runs: Annotated[
@@ -100,8 +109,10 @@ def collect(
 ) -> None:
     """Collect drive data of one surface into a dataset.
 
-    Drives the simulated car on tracks, at increasing speed and with exploration
-    noise, and from random states. With --from-log it imports a log instead,
+    Drives the simulated car, or with --plant your simulator, on tracks, at
+    increasing speed and with exploration noise, and from random states. With
+    --samples 0 a simulator starts without slip only (docs/simulator.md
+    describes simulators). With --from-log the command imports a log instead,
     which must contain time, v_x, v_y, omega, delta, and F_x or a_x. With columns
     for the road's grade (positive uphill) and bank (positive if the left side is
     the higher one), the data are those of a level road. Columns that
@@ -117,6 +128,8 @@ def collect(
       egp collect -o data/snow.parquet --friction snow
       egp collect -o data/loaded.parquet --friction 0.5
           --disturbance load=300 --disturbance load_y=0.6
+      egp collect -o data/own.parquet --friction 0.8 --plant my_simulator:Car
+          --vehicle car.toml
       egp collect -o data/ice.parquet --friction 0.2 --surface ice
           --from-log drive.csv --mass 1400 --column time=t:s
           --column v_x=speed:km/h --column v_y=lateral_speed:m/s
@@ -129,7 +142,7 @@ def collect(
     from egp_service.cli.progress import collecting
     from egp_service.data.collect import CollectionSettings
     from egp_service.data.collect import collect as collect_dataset
-    from egp_service.data.experiment import Experiment, parse_surface, tool
+    from egp_service.data.experiment import parse_surface, tool
     from egp_service.data.provenance import Provenance
 
     console = Console(markup=False)
@@ -156,6 +169,7 @@ def collect(
         "--samples": samples != _SAMPLES,
         "--seed": seed,
         "--disturbance": disturbance,
+        "--plant": plant,
         "--jobs": jobs,
         "--cluster": cluster,
     }
@@ -189,13 +203,11 @@ def collect(
             accelerometer=accelerometer,
         )
     else:
-        if not vehicle.isdecimal():
-            raise EgpError(f"vehicle {vehicle}: expected a CommonRoad number such as 1")
         settings = CollectionSettings(runs=runs, samples=samples)
         if track:
             settings = CollectionSettings(tuple(track), runs, samples)
         disturbances = _once("--disturbance", map(_disturbance, disturbance or []))
-        experiment = Experiment(road, label, seed, dt, int(vehicle), disturbances)
+        experiment = _experiment(plant, vehicle, road, label, seed, dt, disturbances)
         _make_writable(output, picture)
         with collecting(console) as report:
             dataset = collect_dataset(
@@ -208,6 +220,46 @@ def collect(
     dataset.write(output)
     _show_coverage(console, dataset, label, picture)
     console.print(f"{output}: {len(dataset)} transitions of {dt:g} s on {label}")
+
+
+def _experiment(
+    plant: str | None,
+    vehicle: str,
+    road: float | str,
+    label: str,
+    seed: int,
+    dt: float,
+    disturbances: dict[str, float],
+) -> "Experiment":
+    """Describe what is driven: the simulated car `vehicle`, or `plant` with the car of its file."""
+    from egp_service._core import EgpError, surface_friction
+    from egp_service.data.experiment import Experiment, OwnExperiment
+    from egp_service.simulation.one_surface import OneSurface
+    from egp_service.vehicle import read_vehicle
+
+    if plant is None:
+        if not vehicle.isdecimal():
+            raise EgpError(
+                f"vehicle {vehicle}: expected a CommonRoad number such as 1; the TOML file of a "
+                "car goes with --plant or --from-log"
+            )
+        return Experiment(road, label, seed, dt, int(vehicle), disturbances)
+    check_unused({"--disturbance": disturbances}, "has no effect on a simulator of your own")
+    if not _is_file(vehicle):
+        raise EgpError(
+            f"--plant {plant} needs the mass, axles and limits of its car: name the TOML file that "
+            "describes it with --vehicle FILE.toml; `egp train --help` lists its lines"
+        )
+    return OwnExperiment(
+        surface_friction(road),
+        label,
+        seed,
+        dt,
+        name=Path(vehicle).stem,
+        car=read_vehicle(vehicle),
+        simulator=plant,
+        make=OneSurface,
+    )
 
 
 def _check_name(output: Path) -> None:

@@ -1,5 +1,6 @@
 """`egp drive`."""
 
+import time
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
@@ -130,6 +131,8 @@ def drive(
     _check_use(vehicle, connect, zenoh, fleet, monitor, in_process=in_process)
     _warn(console, chosen, seed)
     belief = load_belief(chosen, road)
+    if road is not None:
+        console.print(_road_age(road), markup=False, highlight=False)
     fleet_name, name = fleet_and_name(vehicle)
     with (
         _fleet_map(console, chosen, belief, fleet, vehicle, zenoh) as exchange,
@@ -193,7 +196,7 @@ def _chosen(name: str, library: Path | None, plant: str | None, seed: int | None
     from egp_service.simulation.course import build_path, build_profile
     from egp_service.simulation.plant import load_simulator
     from egp_service.simulation.scenario import check_scenario, load_scenario
-    from egp_service.simulation.scenario_checks import check_seed
+    from egp_service.simulation.scenario_checks import check_seed, check_told
 
     chosen = load_scenario(name)
     if library is not None:
@@ -204,10 +207,19 @@ def _chosen(name: str, library: Path | None, plant: str | None, seed: int | None
         check_seed(seed, "--seed")
         chosen = replace(chosen, seed=seed)
     check_scenario(chosen, name)
+    check_told(chosen, name)
     if chosen.plant is not None:
         load_simulator(chosen.plant)
     build_profile(chosen, build_path(chosen, name))
     return chosen
+
+
+def _road_age(road: Path) -> str:
+    """Say how old the evidence about the road is that a file holds."""
+    if not road.exists():
+        return f"{road} is new: nothing is known about the road yet"
+    age = max(0.0, time.time() - road.stat().st_mtime)
+    return f"{road} holds what earlier drives found; the last one ended {age:.0f} s ago"
 
 
 def _warn(console: Console, scenario: "Scenario", seed: int | None) -> None:
@@ -313,10 +325,10 @@ def _show_differences(console: Console, scenario: "Scenario", controller: "StepC
 
 
 def _show(console: Console, summary: "Summary") -> None:
-    from egp_service.cli.tables import no_plan, summary_table, why_ended
+    from egp_service.cli.tables import misfit, no_plan, summary_table, why_ended
 
     console.print(summary_table([(summary.scenario, summary)]))
-    for text in (why_ended(summary), no_plan(summary)):
+    for text in (why_ended(summary), no_plan(summary), misfit(summary)):
         if text is not None:
             console.print(text, markup=False, highlight=False)
 

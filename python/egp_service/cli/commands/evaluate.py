@@ -30,7 +30,8 @@ def evaluate(
         list[str] | None, typer.Option("--experiment", "-e", help="Experiment; repeat for more.")
     ] = None,
     library: Annotated[
-        Path | None, typer.Option(help="Library instead of the shipped one, with the same members.")
+        Path | None,
+        typer.Option(help="Library instead of the shipped one, members in the same order."),
     ] = None,
     train: Annotated[
         bool, typer.Option("--train", help="Train the library first, like the shipped one.")
@@ -81,10 +82,11 @@ def evaluate(
 
     With --plant your simulator drives, a class with reset(x),
     step(u, dt, friction) and state: `egp drive --help` says what these are, and
-    docs/simulator.md has an example. The experiments prediction and step-times
-    use the built-in vehicle all the same; disturbances, another vehicle and roads
-    whose sides differ are left out. Runs are kept by the simulator's name: choose
-    another --output after changing it.
+    docs/simulator.md has an example. The experiment prediction uses the built-in
+    vehicle all the same; disturbances, another vehicle and roads whose sides
+    differ are left out. Gate, speeds and baselines are those of the vehicle of
+    --library, whose first members have the frictions 0.5, 0.6, 0.9 and 1.1. Runs
+    are kept by the simulator's name: choose another --output after changing it.
 
     The same command resumes an interrupted evaluation. Requires the extras train
     and viz; with the extra paper, step-times includes the paper's stack.
@@ -94,7 +96,8 @@ def evaluate(
       egp evaluate --full -o runs/full
       egp evaluate --full -e varying-speed -e random-roads
       egp evaluate -e unseen-track --track Interlagos_centerline.csv --scale 10
-      egp evaluate --plant my_simulator:Car --library my_library.safetensors
+      egp evaluate -e unseen-track --plant my_simulator:Car
+          --library my_library.safetensors
       egp evaluate --log data/oval.parquet --log data/road.parquet
           --vehicle car.toml
     """
@@ -116,11 +119,12 @@ def evaluate(
     })  # fmt: skip
     selection = _selection(console, chosen, track, scale, full=full)
     if plant is not None:
-        selection = _on_plant(console, selection, plant, experiment)
+        selection = _on_plant(console, selection, plant, experiment, library, output)
     source = _train(console, output, jobs, cluster) if train else library or EVALUATION_LIBRARY
-    campaign = _campaign(console, selection, output, source, jobs, cluster)
+    selection = _with_members(console, selection, source)
+    campaign = _campaign(console, selection, output, source, plant, jobs, cluster)
     results = run(console, campaign, selection, output, jobs=jobs, cluster=cluster)
-    _write(console, campaign, selection, output, source, results, jobs, cluster)
+    _write(console, campaign, selection, output, source, plant, results, jobs, cluster)
 
 
 def _selection(
@@ -156,30 +160,44 @@ def _selection(
     return Selection(full, chosen, driven, apart)
 
 
+def _with_members(console: Console, selection: "Selection", source: Path) -> "Selection":
+    """Leave out controllers whose members the library lacks, and say which."""
+    from dataclasses import replace
+
+    from egp_service.evaluation.experiments import FOUR, with_members
+
+    timed = FOUR if "step-times" in selection.chosen else ()
+    every = [*selection.driven, *selection.apart]
+    kept = with_members(source, every, timed)
+    found = {c.name for e in kept for c in e.contenders}
+    missing = dict.fromkeys(c.name for e in every for c in e.contenders if c.name not in found)
+    if missing:
+        _tell(console, f"Left out, as {source} lacks their members: {', '.join(missing)}.")
+    count = len(selection.driven)
+    return replace(selection, driven=kept[:count], apart=kept[count:])
+
+
 def _campaign(
     console: Console,
     selection: "Selection",
     output: Path,
     source: Path,
+    plant: str | None,
     jobs: int | None,
     cluster: str | None,
 ) -> "Campaign":
     """Resume the campaign of the folder or begin one, with the libraries that it needs."""
     from egp_service.evaluation import disturbances
-    from egp_service.evaluation.campaign import Campaign, require_members
-    from egp_service.evaluation.experiments import FOUR
+    from egp_service.evaluation.campaign import Campaign
 
-    timed = FOUR if "step-times" in selection.chosen else ()
-    require_members(source, [*selection.driven, *selection.apart], timed)
-    campaign = Campaign(output, source)
-    if campaign.of_another_build:
-        console.print(
-            f"{output} contains runs of another build, which are kept.",
-            "Choose another --output to drive all runs with this build.",
-            sep="\n",
-            markup=False,
-            highlight=False,
-        )
+    campaign = Campaign(output, source, plant)
+    for what, other in (
+        ("build", campaign.of_another_build),
+        (f"version of the file of {plant}", campaign.of_another_plant),
+    ):
+        if other:
+            kept = f"{output} contains runs of another {what}, which are kept."
+            _tell(console, kept, f"Choose another --output to drive all runs with this {what}.")
     if disturbances.NAME in {e.name for e in selection.driven}:
         _train_disturbed(console, campaign, jobs, cluster)
     return campaign
@@ -191,6 +209,7 @@ def _write(
     selection: "Selection",
     output: Path,
     source: Path,
+    plant: str | None,
     results: "dict[str, list[Any]]",
     jobs: int | None,
     cluster: str | None,
@@ -200,26 +219,33 @@ def _write(
 
     from egp_service.cli.tables import headline_table
     from egp_service.evaluation.experiments import HIDDEN_ICE, OBSTACLE_AVOIDANCE
-    from egp_service.evaluation.summary_report import HEADLINE, headline, write_report
+    from egp_service.evaluation.summary_report import HEADLINE, headline, why_lost, write_report
 
     timed = "step-times" in selection.chosen
-    times = _step_times(console, source, full=selection.full) if timed else []
+    times = _step_times(console, source, plant, output, full=selection.full) if timed else []
+    ice = results.get(HIDDEN_ICE.name, [])
     with console.status("Drawing ..."):
         shown = [e for e in selection.driven if e.name in _SHOWN]
         seeds = results.get("predictions", [])
         report = write_report(
             output,
             shlex.join(["egp", *sys.argv[1:]]),
+            source,
+            plant=plant,
             outcomes=results["runs"],
             predictions=[outcome for seed in seeds for outcome in seed.outcomes],
             speeds=results.get(OBSTACLE_AVOIDANCE.name, []),
-            ice=results.get(HIDDEN_ICE.name, []),
+            ice=ice,
             times=times,
             drives=campaign.drives(shown, jobs=jobs, cluster=cluster),
         )
     if rows := headline(results["runs"]):
         console.print(headline_table(HEADLINE, rows))
-    console.print(f"Look at {report}", markup=False, highlight=False)
+    _tell(console, *why_lost([*results["runs"], *ice]), f"Look at {report}")
+
+
+def _tell(console: Console, *lines: str) -> None:
+    console.print(*lines, sep="\n", markup=False, highlight=False)
 
 
 def _on_logs(
@@ -263,9 +289,16 @@ def _check_options(
 
 
 def _on_plant(
-    console: Console, selection: "Selection", plant: str, named: list[str] | None
+    console: Console,
+    selection: "Selection",
+    plant: str,
+    named: list[str] | None,
+    library: Path | None,
+    output: Path,
 ) -> "Selection":
     """Let a simulator drive the experiments, and say which conditions it cannot.
+
+    Gate and speeds are those of the library's vehicle, as the campaign's file states it.
 
     Raises:
         EgpError: if one of the experiments named needs our simulator.
@@ -273,8 +306,9 @@ def _on_plant(
     """
     from dataclasses import replace
 
-    from egp_service._core import EgpError
+    from egp_service._core import EgpError, Library
     from egp_service.evaluation import disturbances
+    from egp_service.evaluation.campaign import VEHICLE_FILE
     from egp_service.evaluation.experiments import on_plant
     from egp_service.simulation.plant import load_simulator
 
@@ -284,19 +318,21 @@ def _on_plant(
             "without --plant"
         )
     load_simulator(plant)  # reports a class that cannot be made before the runs start
+    used = Library.load(library or EVALUATION_LIBRARY)
+    vehicle, file = used.parameters, output.absolute() / VEHICLE_FILE
+    if library is None:
+        told = f"Gate, speeds and baselines are those of {used.vehicle}, {vehicle.mass:g} kg"
+        _tell(console, f"{told}. If {plant} is another vehicle, state its library with --library.")
     driven = []
     for experiment in (e for e in selection.driven if e.name != disturbances.NAME):
-        own = on_plant(experiment, plant)
+        own = on_plant(experiment, plant, vehicle, file)
         kept = {name for name, _ in own.conditions}
         if left := [name for name, _ in experiment.conditions if name not in kept]:
-            console.print(
-                f"{experiment.name} without the conditions that {plant} does not see: "
-                f"{', '.join(left)}",
-                markup=False,
-                highlight=False,
-            )
+            told = f"{experiment.name} without the conditions that {plant} does not see: "
+            _tell(console, told + ", ".join(left))
         driven.append(own)
-    return replace(selection, driven=driven, apart=[on_plant(e, plant) for e in selection.apart])
+    apart = [on_plant(e, plant, vehicle, file) for e in selection.apart]
+    return replace(selection, driven=driven, apart=apart)
 
 
 def _chosen(experiment: list[str] | None) -> list[str]:
@@ -346,12 +382,17 @@ def _train_disturbed(
             train(path, disturbances, displays, jobs=jobs, cluster=cluster)
 
 
-def _step_times(console: Console, library: Path, *, full: bool) -> "list[StepTime]":
+def _step_times(
+    console: Console, library: Path, plant: str | None, output: Path, *, full: bool
+) -> "list[StepTime]":
     from egp_service.evaluation import scaling
+    from egp_service.evaluation.campaign import VEHICLE_FILE
     from egp_service.evaluation.experiment import CUSTOM_TRACK
     from egp_service.simulation.scenario import Scenario, Zone
 
-    scenario = Scenario("step-times", CUSTOM_TRACK, (Zone(0.0, 0.8),))
+    file = None if plant is None else str(output / VEHICLE_FILE)
+    zones = (Zone(0.0, 0.8),)
+    scenario = Scenario("step-times", CUSTOM_TRACK, zones, plant=plant, vehicle_file=file)
     with console.status("Timing the control step ..."):
         members = scaling.MEMBERS if full else _QUICK_MEMBERS
         periods = 200 if full else 60

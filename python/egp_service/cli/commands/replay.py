@@ -126,7 +126,7 @@ def _library(recorded: "Recorded", given: Path | None) -> Path:
 
     if given is not None:
         return given
-    named = recorded.about["library_file"]
+    named = recorded.about.get("library_file")
     for file in (*([Path(named)] if named else []), shipped.DEMO_LIBRARY):
         if file.is_file() and sha256(file.read_bytes()).hexdigest() == recorded.about["library"]:
             return file

@@ -40,6 +40,7 @@ impl FleetExchange {
             replied: false,
         });
         self.silent = false;
+        self.retry_after = Duration::ZERO;
         self.ask(0, self.last_tile(), self.settings.timeout / FIRST_SHARE);
     }
 
