@@ -165,8 +165,10 @@ def test_logs_with_and_without_a_tilt_are_not_joined(logs: list[Path]) -> None:
 def test_an_implausible_tilt_is_an_error(logs: list[Path], tmp_path: Path) -> None:
     named = [f"--column={q}={q}:{u}" for q, u in COLUMNS.items() if q != "bank"]
     command = ["collect", "-o", str(tmp_path / "out.parquet"), "--friction", "0.8"]
-    command += ["--from-log", str(logs[0]), *named]
-    result = CliRunner().invoke(app, [*command, "--column=bank=time:rad"])
+    log = pl.read_csv(logs[0]).with_columns(tilt=pl.col("time"))
+    log.write_csv(tmp_path / "log.csv")
+    command += ["--from-log", str(tmp_path / "log.csv"), *named]
+    result = CliRunner().invoke(app, [*command, "--column=bank=tilt:rad"])
     text = " ".join(str(result.exception).split())
     assert result.exit_code == 1
     assert re.search(r"bank reaches 29.98 rad .* more than 0.7 rad is implausible", text)

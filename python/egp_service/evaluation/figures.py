@@ -173,9 +173,10 @@ def draw_completion(groups: Sequence[Group], path: Path) -> Path:
         if any(group.lateral_rms.value > 0.0 for group in groups):
             axes[1].set_xscale("log")
             axes[1].set_xlabel("logarithmic")
-        low, high = axes[1].get_xlim()
-        steps = (1.0, 2.0, 5.0) if high > _DECADE * low else (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
-        axes[1].xaxis.set_major_locator(LogLocator(subs=steps))
+            low, high = axes[1].get_xlim()
+            wide = high > _DECADE * low
+            steps = (1.0, 2.0, 5.0) if wide else (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
+            axes[1].xaxis.set_major_locator(LogLocator(subs=steps))
         axes[1].xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
         axes[1].xaxis.set_minor_formatter(NullFormatter())
         _legend_beside(axes[1])

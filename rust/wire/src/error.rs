@@ -21,12 +21,7 @@ pub enum Invalid {
     #[error("not an egp.v1 message: {0}")]
     Malformed(#[from] prost::DecodeError),
     /// Another version of the messages.
-    #[error(
-        "{}, and this program has version {}{}",
-        if *actual == 0 { "the message is empty or has no `version`".to_owned() } else { format!("the message has version {actual}") },
-        crate::VERSION,
-        if *actual == 0 { "" } else { "; update the older program" },
-    )]
+    #[error("{}", other_version(*actual))]
     Version {
         /// Version of the message.
         actual: u32,
@@ -39,6 +34,17 @@ pub enum Invalid {
         /// What was expected and what came.
         reason: String,
     },
+}
+
+fn other_version(actual: u32) -> String {
+    let own = crate::VERSION;
+    if actual == 0 {
+        format!("the message is empty or has no `version`; that of this program is {own}")
+    } else {
+        format!(
+            "the message has version {actual}, and this program has version {own}; update the older program"
+        )
+    }
 }
 
 impl Invalid {

@@ -35,7 +35,12 @@ fn cases() -> Vec<(&'static str, Vec<u8>, Code, &'static str)> {
             Code::Malformed,
             "not an egp.v1 message",
         ),
-        ("empty", vec![], Code::Version, "version 0"),
+        (
+            "empty",
+            vec![],
+            Code::Version,
+            "is empty or has no `version`",
+        ),
         (
             "truncated",
             good[..good.len() / 2].to_vec(),
