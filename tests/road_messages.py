@@ -20,3 +20,9 @@ def evidence(tile: bytes, age: float) -> bytes:
     message = message_class("TileEvidence")(version=1, age_ms=round(1e3 * age), rows=tile)
     encoded: bytes = message.SerializeToString()
     return encoded
+
+
+def no_tiles() -> bytes:
+    """Bytes of a RoadTiles without tiles: nothing was reported yet."""
+    encoded: bytes = message_class("RoadTiles")(version=1).SerializeToString()
+    return encoded

@@ -14,6 +14,7 @@ from egp_service.control.fleet_map import FleetMap
 from egp_service.control.session import session_config
 from patience import wait_until
 from road_evidence import PATH, measure, measured
+from road_messages import no_tiles
 
 TILE = measured(0.5).tile(0)
 
@@ -26,7 +27,7 @@ def test_a_lost_answer_is_asked_for_again_while_the_vehicle_waits() -> None:
     def answer(query: zenoh.Query) -> None:
         nonlocal answered
         if lost:
-            query.reply(query.key_expr, b"")
+            query.reply(query.key_expr, no_tiles())
             answered += 1
         else:
             lost.append(query)  # a query that is kept has no end
@@ -57,7 +58,7 @@ def test_evidence_that_an_overloaded_service_refused_is_sent_again() -> None:
         if asked.count(key) == 1:
             query.reply_err(bytes([0x08, 5, 0x10, 1]))  # code OVERLOADED, retryable
         else:
-            query.reply(key, b"")
+            query.reply(key, no_tiles())
 
     with zenoh.open(config) as session:
         queryable = session.declare_queryable("egp/**", answer)
@@ -87,7 +88,7 @@ def test_a_service_that_accepts_no_evidence_now_is_there_and_gets_the_last_one(
             offered.append(query.key_expr)
             query.reply_err(bytes([0x08, 5, 0x10, 1]))  # code OVERLOADED, retryable
         else:
-            query.reply(str(query.key_expr), b"")
+            query.reply(str(query.key_expr), no_tiles())
 
     with zenoh.open(session_config([], 5.0, {"listen/endpoints": [endpoint]})) as session:
         queryable = session.declare_queryable("egp/**", answer)
@@ -146,7 +147,7 @@ def test_a_warning_says_what_the_service_does_not_accept(
         if ("/tile/" in str(query.key_expr)) == of_evidence:
             query.reply_err(bytes([0x08, 2]))
         else:
-            query.reply(str(query.key_expr), b"")
+            query.reply(str(query.key_expr), no_tiles())
 
     with zenoh.open(config) as session:
         queryable = session.declare_queryable("egp/**", answer)
