@@ -38,6 +38,9 @@ SPELLED: Final = [
     (r"\arg\min", r"\operatorname{arg\,min}"),
 ]
 DISPLAYED: Final = re.compile(r"^```math\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+# The mark of commands that take minutes, which tests of the documents read, and which is no fence
+# for the site.
+MINUTES: Final = re.compile(r"^```sh minutes$", re.MULTILINE)
 FORMULA: Final = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
 
 
@@ -72,7 +75,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Let links lead to the places of the files in the site, and mark displayed formulas."""
+    """Let links lead to the places of the files in the site, and mark formulas and commands."""
     del config, files
     here = page.file.src_uri
     folder = PurePosixPath(source_of(here)).parent
@@ -81,7 +84,8 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
         target = target_of(os.path.normpath(folder / link[1]))
         return f"]({os.path.relpath(target, PurePosixPath(here).parent)}{link[2] or ''})"
 
-    return LINK.sub(moved, DISPLAYED.sub(r"$$\n\1$$", markdown))
+    fenced = MINUTES.sub("```sh", DISPLAYED.sub(r"$$\n\1$$", markdown))
+    return LINK.sub(moved, fenced)
 
 
 def on_page_content(content: str, page: Page, config: MkDocsConfig, files: Files) -> str:
