@@ -1,4 +1,4 @@
-"""Checks that no page of a built site loads anything from another host, and that all fences became code.
+"""Checks that no page of a built site loads from another host, and that all fences became code.
 
 python tests/stories/site.py target/site
 """
@@ -41,7 +41,9 @@ def main(site: Path) -> None:
     found |= {str(page): ["```"] for page in pages if "```" in page.read_text(encoding="utf-8")}
     found |= {str(s): ["url(http"] for s in styles if "url(http" in s.read_text(encoding="utf-8")}
     if found or not pages:
-        sys.exit(f"{len(pages)} pages in {site}; loaded from other hosts, or left of fences: {found}")
+        sys.exit(
+            f"{len(pages)} pages in {site}; loaded from other hosts, or left of fences: {found}"
+        )
     print(f"{len(pages)} pages, nothing from other hosts")
 
 
