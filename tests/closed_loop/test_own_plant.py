@@ -42,6 +42,7 @@ from egp_service.simulation.scenario import (
 )
 from egp_service.simulation.scenario_checks import ScenarioError
 from fewer_contenders import with_contenders
+from rails import rails_car
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -105,26 +106,7 @@ class Backwards(Slots):
         self.state = [p_x - 0.1, p_y + 1.0, *rest]
 """
 # A vehicle without slip, of the shipped libraries' mass and axle distance.
-ON_RAILS = """
-import math
-
-class Car:
-    made = 0
-
-    def __init__(self):
-        Car.made += 1
-
-    def reset(self, x):
-        self.state = [*x[:4], 0.0, x[5], x[6]]
-
-    def step(self, u, dt, friction):
-        p_x, p_y, v, yaw, _, _, delta = self.state
-        v, delta = v + u[0] / 1225.9 * dt, delta + u[1] * dt
-        omega = v * math.tan(delta) / 2.578
-        yaw += omega * dt
-        self.state = [p_x + v * math.cos(yaw) * dt, p_y + v * math.sin(yaw) * dt, v, yaw, 0.0,
-                      omega, delta]
-"""
+ON_RAILS = rails_car("Car", 1225.9, 2.578)
 
 
 @pytest.fixture

@@ -22,6 +22,7 @@ from egp_service.shipped import EVALUATION_LIBRARY
 from egp_service.simulation.scenario import vehicle_parameters
 from egp_service.vehicle import read_vehicle
 from fewer_contenders import with_contenders
+from rails import rails_car
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -31,26 +32,15 @@ if TYPE_CHECKING:
 
 BODY = {"mass": 1800.0, "yaw_inertia": 3300.0, "l_f": 1.35, "l_r": 1.55, "width": 1.95}
 SUV = VehicleParameters(**(VehicleParameters.commonroad(1).fields() | BODY))
-# A vehicle without slip, and a simulator that fails at once.
-SIMULATORS = """
-import math
-
-class Suv:
-    def reset(self, x):
-        self.state = [*x[:4], 0.0, x[5], x[6]]
-
-    def step(self, u, dt, friction):
-        p_x, p_y, v, yaw, _, _, delta = self.state
-        v, delta = v + u[0] / 1800.0 * dt, delta + u[1] * dt
-        omega = v * math.tan(delta) / 2.9
-        yaw += omega * dt
-        self.state = [p_x + v * math.cos(yaw) * dt, p_y + v * math.sin(yaw) * dt, v, yaw, 0.0,
-                      omega, delta]
-
+# A simulator that fails at once, beside the vehicle that it is derived from.
+SIMULATORS = (
+    rails_car("Suv", 1800.0, 2.9)
+    + """
 class Failing(Suv):
     def step(self, u, dt, friction):
         self.state = [math.nan] * 7
 """
+)
 
 
 @pytest.fixture

@@ -14,26 +14,19 @@ from egp_service._core import GRAVITY
 from egp_service.cli import app
 from egp_service.control.toml_text import dumps
 from egp_service.data.dataset import Dataset
+from rails import rails_car
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 # A car without slip, whose tyres transmit what the friction allows along the road.
-SLIDER = f"""
-import math
-
-class Car:
-    def reset(self, x):
-        self.state = [*x[:4], 0.0, x[5], x[6]]
-
+SLIDER = (
+    rails_car("Rails", 1800.0, 2.9)
+    + f"""
+class Car(Rails):
     def step(self, u, dt, friction):
-        p_x, p_y, v, yaw, _, _, delta = self.state
-        most = friction * {GRAVITY}
-        v, delta = v + min(most, max(-most, u[0] / 1800.0)) * dt, delta + u[1] * dt
-        omega = v * math.tan(delta) / 2.9
-        yaw += omega * dt
-        self.state = [p_x + v * math.cos(yaw) * dt, p_y + v * math.sin(yaw) * dt, v, yaw, 0.0,
-                      omega, delta]
+        most = 1800.0 * friction * {GRAVITY}
+        super().step([min(most, max(-most, u[0])), u[1]], dt, friction)
 
 class Failing(Car):
     def step(self, u, dt, friction): raise ZeroDivisionError("solver diverged")
@@ -41,6 +34,7 @@ class Failing(Car):
 class Lost(Car):
     def step(self, u, dt, friction): self.state = [math.nan] * 7
 """
+)
 SUV = VehicleParameters(
     **VehicleParameters.commonroad(1).fields()
     | {"mass": 1800.0, "yaw_inertia": 3300.0, "l_f": 1.35, "l_r": 1.55, "steering_angle": 0.6}

@@ -107,7 +107,7 @@ impl RoadTiles {
     ///
     /// # Errors
     /// [`Invalid`], which names the first field at fault, also if there are more tiles and this answer does not say behind which.
-    pub fn decode_from(first: u32, bytes: &[u8]) -> Result<Self, Invalid> {
+    pub fn decode_page(first: u32, bytes: &[u8]) -> Result<Self, Invalid> {
         let answer = Self::decode(bytes)?;
         let end = answer.tiles.last().map(|tile| tile.index);
         if answer.more && end.is_none_or(|end| end < first) {

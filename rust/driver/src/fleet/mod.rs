@@ -172,7 +172,7 @@ impl FleetExchange {
         }
     }
 
-    /// A query was answered. Bytes that are no such answer are none.
+    /// A query was answered. An answer that cannot be read counts as no answer.
     pub fn replied(&mut self, now: Time, id: QueryId, answer: &[u8], belief: &mut RoadBelief) {
         let Some(open) = self.open.get_mut(&id) else {
             return;
@@ -180,7 +180,7 @@ impl FleetExchange {
         let tiles = match open.subject {
             Subject::Evidence(..) => Ok(None),
             Subject::Tiles { first, last } => {
-                RoadTiles::decode_from(first, answer).map(|answer| Some((answer, last)))
+                RoadTiles::decode_page(first, answer).map(|answer| Some((answer, last)))
             }
         };
         match tiles {
