@@ -4,14 +4,18 @@
 //! window (module `innovations`) give a likelihood:
 //!
 //! ```text
-//! J(mu) = sum over the window of ||e||²
-//! p(mu) ∝ p_0(mu) exp(-J(mu) / (2 tau max(1, min J / n))),    n = number of errors
+//! q(mu) = (sum nu)ᵀ (sum S)⁻¹ (sum nu)
+//! J(mu) = sum ||e||² - q(mu)
+//! p(mu) ∝ p_0(mu) exp(-J(mu) / (2 tau max(1, min J / n))) (1 + q(mu))⁻²,    n = number of errors
 //! ```
 //!
-//! `p_0` is uniform over [`RANGE`], and `J` is interpolated in `ln mu`. A window that no hypothesis explains, `min J > n`, widens
-//! the posterior (a power posterior; Grünwald and van Ommen, *Inconsistency of Bayesian Inference for Misspecified Linear
-//! Models*, Bayesian Analysis 12(4), 2017). Nothing but the window is remembered, so without excitation the posterior returns to the prior
-//! within the length of the window.
+//! over the window, with the innovations `nu` and their covariances `S`. `p_0` is uniform over [`RANGE`], and the logarithm of the
+//! likelihood is interpolated in `ln mu`. The sum of the innovations has a Cauchy distribution of three dimensions: what a model
+//! of the vehicle lacks (a bank, a load, other tyres) is alike in all transitions of a window, and of unknown size. A normal distribution
+//! would count it as information about the friction, the more of it the longer the window. A window whose single
+//! errors no hypothesis explains, `min J > n`, widens the posterior (a power posterior; Grünwald and van Ommen,
+//! *Inconsistency of Bayesian Inference for Misspecified Linear Models*, Bayesian Analysis 12(4), 2017). Nothing but the window is
+//! remembered, so without excitation the posterior returns to the prior within the length of the window.
 
 mod hypothesis;
 mod innovations;
@@ -22,7 +26,7 @@ use egp_parameters::{
 };
 use hypothesis::Hypothesis;
 use innovations::{Innovations, Square};
-use nalgebra::Cholesky;
+use nalgebra::{Cholesky, Const};
 
 use crate::settings::WeightSettings;
 use crate::vehicle::Batch;
@@ -109,7 +113,7 @@ pub struct FrictionEstimator {
     deviations: [GpOutput; HYPOTHESES],
     /// Sum of the innovations, for each hypothesis.
     sums: [GpOutput; HYPOTHESES],
-    /// `J`, for each hypothesis.
+    /// Sum of the squares of the whitened innovations, for each hypothesis.
     squares: [f64; HYPOTHESES],
     density: Vec<f64>,
 }
@@ -216,15 +220,27 @@ impl FrictionEstimator {
         mean / total
     }
 
-    /// The posterior from the sums of `n` squares.
+    /// The posterior from the sums of `n` squares, the sums of the innovations and the sum of their covariances.
     fn posterior(&mut self, n: f64, covariance: &Square) -> FrictionEstimate {
-        let least = self.squares.iter().copied().fold(f64::INFINITY, f64::min);
+        let Some(factor) = covariance.cholesky() else {
+            return FrictionEstimate::default();
+        };
+        let common = self.sums.map(|sum| sum.dot(&factor.solve(&sum)));
+        let rest: [f64; HYPOTHESES] = std::array::from_fn(|i| self.squares[i] - common[i]);
+        let least = rest.iter().copied().fold(f64::INFINITY, f64::min);
         if !least.is_finite() {
             return FrictionEstimate::default();
         }
         let scale = -0.5 / (TEMPERATURE * (least / n).max(1.0));
-        let log_likelihood =
-            (self.squares).map(|square| (scale * (square - least)).max(LEAST_LOG_LIKELIHOOD));
+        let mut log_likelihood: [f64; HYPOTHESES] =
+            std::array::from_fn(|i| scale * (rest[i] - least) - 2.0 * common[i].ln_1p());
+        let largest = log_likelihood
+            .iter()
+            .copied()
+            .fold(f64::NEG_INFINITY, f64::max);
+        for value in &mut log_likelihood {
+            *value = (*value - largest).max(LEAST_LOG_LIKELIHOOD);
+        }
         let (mut most, mut likeliest) = (f64::NEG_INFINITY, 0.0);
         for (density, position) in self.density.iter_mut().zip(&self.positions) {
             *density = interpolate_hypotheses(&log_likelihood, *position);
@@ -255,19 +271,18 @@ impl FrictionEstimator {
             upper: self.quantile(INTERVAL.1 * total),
             information: information.max(0.0),
             log_likelihood,
-            misfit: self.misfit(likeliest, covariance),
+            misfit: self.misfit(likeliest, &factor),
         }
     }
 
     /// [`FrictionEstimate::misfit`] at a position, counted in hypotheses; the sums of innovations are interpolated linearly.
-    fn misfit(&self, position: f64, covariance: &Square) -> f64 {
+    fn misfit(&self, position: f64, covariance: &Cholesky<f64, Const<NY>>) -> f64 {
         let after = self.sums.iter().skip(1);
         let between = self.sums.iter().zip(after).enumerate();
         let sum = between.fold(self.sums[0], |sum, (i, (from, to))| {
             sum + (to - from) * (position - i as f64).clamp(0.0, 1.0)
         });
-        let square = |factor: Cholesky<f64, _>| sum.dot(&factor.solve(&sum)) / NY as f64;
-        covariance.cholesky().map_or(0.0, square).min(MOST_MISFIT)
+        (sum.dot(&covariance.solve(&sum)) / NY as f64).min(MOST_MISFIT)
     }
 
     /// The point up to which the density sums to `sum`.

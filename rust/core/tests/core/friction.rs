@@ -92,16 +92,17 @@ fn changes(member: &Member, z: &[[f64; 6]]) -> Vec<[f64; NY]> {
 
 /// The estimate of `library` from transitions on the only surface of `truth`.
 fn estimate(library: &Library, truth: &Library, z: &[[f64; 6]]) -> FrictionEstimate {
+    of_changes(library, &changes(&truth.members()[0], z), z)
+}
+
+/// The estimate of `library` from measured changes.
+fn of_changes(library: &Library, measured: &[[f64; NY]], z: &[[f64; 6]]) -> FrictionEstimate {
     let members = library.members();
     let columns: Vec<_> = members.iter().map(|member| changes(member, z)).collect();
     let predictions: Vec<f64> = (0..z.len())
         .flat_map(|k| columns.iter().flat_map(move |column| column[k]))
         .collect();
-    FrictionEstimator::new(library, &WeightSettings::default()).estimate(
-        z,
-        &predictions,
-        &changes(&truth.members()[0], z),
-    )
+    FrictionEstimator::new(library, &WeightSettings::default()).estimate(z, &predictions, measured)
 }
 
 #[test]
@@ -125,6 +126,32 @@ fn the_friction_is_found_between_the_members_and_beyond_them() {
 }
 
 #[test]
+fn an_error_that_all_transitions_share_leaves_the_friction_open() {
+    // In a steady bend all that the models of the friction differ by is the sum of the innovations.
+    let ensemble = with_noise(&[0.5, 1.1], 1.0);
+    let bend = vec![window(0.1)[0]; 25];
+    for mu in [0.35, 0.5, 0.8, 1.0] {
+        let own = changes(&library(&[mu]).members()[0], &bend);
+        let width = |acceleration: f64| {
+            // A yaw acceleration in rad/s² that no friction explains.
+            let turned = |[v_x, v_y, omega]: [f64; NY]| [v_x, v_y, omega + 0.02 * acceleration];
+            let measured: Vec<_> = own.iter().copied().map(turned).collect();
+            let found = of_changes(&ensemble, &measured, &bend);
+            assert!(
+                found.lower < mu && mu < found.upper,
+                "{mu}, {acceleration}: {found:?}"
+            );
+            found.upper - found.lower
+        };
+        let without = width(0.0);
+        assert!(
+            width(-0.3) > 1.2 * without && width(0.3) > 1.2 * without,
+            "{mu}"
+        );
+    }
+}
+
+#[test]
 fn the_misfit_tells_another_vehicle_from_another_friction() {
     // As heavy as two of the library's vehicles, and turned as easily as half of one.
     let other = |member: MemberData| {
@@ -142,9 +169,8 @@ fn the_misfit_tells_another_vehicle_from_another_friction() {
     for mu in [0.35, 0.5, 0.8, 1.1] {
         let own = estimate(&ensemble, &library(&[mu]), &window(0.1));
         let foreign = estimate(&ensemble, &changed(&[mu], 0.1, other), &window(0.1));
-        assert!(own.misfit < 1.0, "{mu}: {own:?}");
-        assert!(own.misfit < 0.03, "{mu}: {own:?}");
-        assert!(foreign.misfit > 0.9, "{mu}: {foreign:?}");
+        assert!(own.misfit < 0.5, "{mu}: {own:?}");
+        assert!(foreign.misfit > 10.0, "{mu}: {foreign:?}");
     }
     let none = FrictionEstimator::new(&ensemble, &WeightSettings::default());
     assert_eq!(none.clone().estimate(&[], &[], &[]).misfit, 0.0);
