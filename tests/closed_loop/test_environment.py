@@ -14,7 +14,7 @@ from gymnasium.utils.env_checker import check_env
 from egp_service._core import InvalidArgumentError
 from egp_service.simulation.environment import TrackEnvironment
 from egp_service.simulation.plant import PlantError
-from egp_service.simulation.scenario import Measurement, load_scenario
+from egp_service.simulation.scenario import Measurement, Track, load_scenario
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -51,6 +51,14 @@ def test_a_standing_start_stands(tmp_path: Path) -> None:
     environment = TrackEnvironment(str(file))
     _, info = environment.reset()
     assert info["x"][2] == 0.0
+
+
+def test_an_episode_that_begins_in_a_bend_begins_with_its_yaw_rate() -> None:
+    scenario = replace(load_scenario("random"), track=Track("circle", parameters={"radius": 20.0}))
+    _, info = TrackEnvironment(scenario).reset()
+    _, _, v_x, _, _, omega, delta = info["x"]
+    assert omega == pytest.approx(v_x / 20.0, rel=0.01)
+    assert delta == pytest.approx(2.4 / 20.0, rel=0.1)  # distance of the axles over the radius
 
 
 def test_a_seed_makes_the_track() -> None:

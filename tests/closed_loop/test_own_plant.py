@@ -179,7 +179,7 @@ def test_what_is_wrong_with_a_simulator_is_named(folder: Path) -> None:
     (folder / "half_car.py").write_text("class Car\n")
     for name, message in {
         "broken_car": "expected MODULE:CLASS",
-        "no_such_module:Car": "No module named .*in a module of this folder, of a folder in it",
+        "no_such_module:Car": f"No module named .*looked in {folder} and the installed pack",
         "broken_car.py:Slots": "the name of a module, not of its file: broken_car:Slots$",
         "./cars/own.py:Car": "the name of a module, not of its file: cars.own:Car$",
         "broken_car:Car": "no attribute 'Car'",

@@ -21,12 +21,21 @@ from egp_service import (
     VehicleParameters,
     shipped,
 )
+from egp_service._core import Path as RoadPath
 from egp_service.cli import app
 from egp_service.control.step import Step
 from egp_service.simulation.closed_loop import drive
+from egp_service.simulation.course import build_path, start_state
 from egp_service.simulation.in_process import in_process_controller
 from egp_service.simulation.runs import new_folder
-from egp_service.simulation.scenario import Zone, load_scenario, told_zones
+from egp_service.simulation.scenario import (
+    Scenario,
+    Track,
+    Zone,
+    built_in_names,
+    load_scenario,
+    told_zones,
+)
 from egp_service.simulation.scenario_checks import ScenarioError
 from library_example import write_example
 
@@ -52,6 +61,75 @@ def test_a_slow_start_keeps_the_path(friction: float, v_start: float) -> None:
     largest = 0.9 * np.abs(steps).max()
     turns = (np.sign(steps[1:]) != np.sign(steps[:-1])) & (np.abs(steps[1:]) > largest)
     assert turns.sum() <= 5
+
+
+def circle(radius: float, v_max: float, friction: float = 0.8) -> Scenario:
+    speed = replace(BASE.speed, v_max=v_max)
+    track = Track("circle", parameters={"radius": radius})
+    return replace(BASE, track=track, zones=(Zone(0.0, friction),), speed=speed, laps=0.1)
+
+
+@pytest.mark.parametrize(
+    "scenario",
+    [
+        *map(load_scenario, built_in_names()),
+        *(replace(load_scenario("random"), seed=seed) for seed in range(20)),
+    ],
+)
+def test_a_start_on_a_straight_has_neither_yaw_rate_nor_steering(scenario: Scenario) -> None:
+    path = build_path(scenario)
+    x, y, yaw, *_ = (float(column[0]) for column in path.sample(np.zeros(1)))
+    assert start_state(scenario, path, 12.3).tolist() == [x, y, 12.3, yaw, 0.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize(("radius", "v"), [(15.0, 6.0), (50.0, 10.0), (50.0, 14.0)])
+def test_a_car_that_starts_in_a_bend_is_in_its_steady_state(
+    radius: float, v: float, side: float
+) -> None:
+    angle = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
+    points = radius * np.column_stack([np.sin(angle), side * (1.0 - np.cos(angle))])
+    path = RoadPath.from_points(points, closed=True)
+    scenario = circle(radius, v)
+    start = start_state(scenario, path, v)
+    plant = Plant()
+    p_x, p_y, v_x, psi, v_y, omega, delta = start
+    plant.reset(p_x, p_y, psi, v_x, yaw_rate=omega, v_y=v_y, delta=delta)
+    beside = []
+    for _ in range(50):  # with the steering angle of the start, at the same speed
+        plant.step([5.0 * plant.mass * (v - plant.vehicle_state[2]), 0.0], 0.01, 0.8)
+        beside.append(path.project(plant.vehicle_state[:2]).lateral)
+    assert np.sign([v_y, omega, delta]).tolist() == [side] * 3
+    # Measured 0.002 to 0.012 m; a car that starts straight on 0.25 to 0.49 m.
+    assert np.abs(beside).max() < 0.02
+    # Measured 1 to 4 % less yaw rate, and up to 0.002 rad between both courses.
+    settled = plant.vehicle_state
+    assert settled[5] == pytest.approx(omega, rel=0.06)
+    assert settled[4] == pytest.approx(v_y, abs=0.004 * v)
+
+
+def test_a_run_that_starts_in_a_bend_has_no_larger_error_there() -> None:
+    scenario = circle(15.0, 10.0)
+    with in_process_controller(scenario) as controller:
+        run = drive(scenario, controller, lambda _: None)
+    # 0.017 m; without yaw rate, steering and lateral speed at the start 0.475 m.
+    assert run.summary.lateral_error.max < 0.03
+
+
+@pytest.mark.parametrize(
+    ("radius", "v_start"), [(0.5, 100.0), (3.0, 100.0), (1.0, 0.0), (1.0, 1e-200)]
+)
+def test_a_start_too_fast_or_too_tight_for_the_bend_is_within_the_cars_limits(
+    radius: float, v_start: float
+) -> None:
+    scenario = circle(radius, 10.0)
+    car = Plant().parameters
+    x = start_state(scenario, build_path(scenario), v_start)
+    _, _, v_x, _, v_y, omega, delta = x
+    assert v_x == v_start
+    assert abs(delta) <= car.steering_angle
+    assert omega * v_x <= 1.01 * car.lateral_grip * 0.8 * 9.81
+    assert abs(v_y) <= v_x
 
 
 def test_a_library_of_another_vehicle_is_driven_with_its_file(tmp_path: Path) -> None:

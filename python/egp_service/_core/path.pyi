@@ -115,18 +115,21 @@ class Path:
 
         """
     @staticmethod
-    def from_csv(file: str | PathLike[str], scale: float = 1.0) -> Path:
-        """Read a closed track: a raceline, or a centre line with distances to both edges.
+    def from_csv(file: str | PathLike[str], scale: float = 1.0, closed: bool = True) -> Path:
+        """Read a track: a raceline, or a centre line with distances to both edges.
 
         Columns are separated by commas or semicolons; a first line with names may reorder them.
         `s_m; x_m; y_m; psi_rad; kappa_radpm; vx_mps; ax_mps2` has no widths, and its psi must fit
         the positions, measured from +x or from +y; `x_m,y_m,w_tr_right_m,w_tr_left_m` has widths.
-        Lengths are in m and multiplied by `scale`, which is 10 for a track of 1:10 cars.
+        Lengths are in m and multiplied by `scale`, which is 10 for a track of 1:10 cars. The end of
+        a `closed` track leads to its start; the last line may repeat the first. One that is not
+        closed ends at the last line.
 
         Raises:
             InvalidArgumentError: unless `scale` is positive.
-            EgpError: if the file cannot be read, is larger than 16 MiB or has another format, or
-                if `from_points` does not accept its points.
+            EgpError: if the file cannot be read, is larger than 16 MiB or has another format, if
+                the end of a closed track is far from its start, or if `from_points` does not accept
+                its points.
 
         """
     def with_friction(

@@ -16,7 +16,7 @@ import numpy as np
 
 from egp_service._core import VehicleLostError, horizon_reference
 from egp_service.quantities import NU, NX, POSITION, PSI, V_X
-from egp_service.simulation.course import build_path, build_profile
+from egp_service.simulation.course import build_path, build_profile, start_state
 from egp_service.simulation.plant import make_plant, measurement_noise
 from egp_service.simulation.reference import new_belief, speed_reference, told_reference
 from egp_service.simulation.scenario import check_scenario, leave_distance
@@ -147,12 +147,11 @@ class _Loop:
         self._goal = laps * self.path.length
         told = laps * build_profile(scenario, self.path).lap_time
         self._time_limit = 10.0 + PATIENCE[scenario.speed.knows] * told
-        x, y, yaw, *_ = (column[0] for column in self.path.sample(np.zeros(1)))
         v_start = scenario.speed.v_start
         if v_start is None:
             profile, _ = self._speed.plan(0.0, None)
             v_start = float(profile.speed(np.zeros(1))[0])
-        self._plant.reset(np.array([x, y, v_start, yaw, 0.0, 0.0, 0.0]))
+        self._plant.reset(start_state(scenario, self.path, v_start))
         self._x = self._plant.state
 
     @property

@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from egp_service._core import EgpError, InvalidArgumentError, Library, Path, SpeedProfile
+from egp_service._core import (
+    GRAVITY,
+    EgpError,
+    InvalidArgumentError,
+    Library,
+    Path,
+    SpeedProfile,
+)
 from egp_service.simulation.scenario import (
     Scenario,
     leave_distance,
@@ -31,6 +38,8 @@ _CIRCUIT_SEED = 11
 _LENGTHS = (1.0, 1e6)
 # m from the path to an edge; a request states no larger distance.
 _FARTHEST_EDGE = 1000.0
+# rad; a path counts as straight where a car steers less. The splines of straight roads need 1.5e-3.
+_STRAIGHT = 2.5e-3
 
 
 def _circle(radius: float = 50.0, track_width: float = 7.0) -> Path:
@@ -96,7 +105,7 @@ def _path(scenario: Scenario, where: str) -> Path:
         )
     parameters: dict[str, object] = dict(track.parameters)
     make = TRACKS[track.kind]
-    known = [name for name in inspect.signature(make).parameters if name != "file"]
+    known = [name for name in inspect.signature(make).parameters if name not in ("file", "closed")]
     if unknown := sorted(set(parameters) - set(known)):
         raise ScenarioError(
             f"{where}: track.parameters.{unknown[0]}: unknown for kind {track.kind!r}; "
@@ -105,7 +114,7 @@ def _path(scenario: Scenario, where: str) -> Path:
     if track.kind == "csv":
         if track.file is None:
             raise ScenarioError(f"{where}: track.file is missing, which track kind 'csv' needs")
-        parameters["file"] = track.file
+        parameters |= {"file": track.file, "closed": track.closed is not False}
     if track.kind == "iso-3888-2":
         car = vehicle_parameters(scenario)
         parameters.setdefault("vehicle_width", car.width)
@@ -169,6 +178,31 @@ def tight_place(scenario: Scenario) -> str | None:
     )
 
 
+def start_state(scenario: Scenario, path: Path, speed: float) -> NDArray[np.float64]:
+    """State `[p_x, p_y, v_x, psi, v_y, omega, delta]` at the start of the path, `speed` m/s ahead.
+
+    The vehicle drives steadily along the path's curvature, or the largest that it can follow at
+    this speed. Both axles slip by the angle at which their tyres transmit the lateral acceleration.
+    Their force rises, as that of brush tyres, three times as steeply as its peak over `peak_slip`.
+    """
+    sample = path.sample(np.zeros(1))
+    x, y, yaw, curvature, _, _, friction = (float(column[0]) for column in sample)
+    car = vehicle_parameters(scenario)
+    if abs(np.arctan((car.l_f + car.l_r) * curvature)) < _STRAIGHT:
+        return np.array([x, y, speed, yaw, 0.0, 0.0, 0.0])
+    grip = car.lateral_grip * GRAVITY
+    tightest = np.tan(car.steering_angle) / (car.l_f + car.l_r)
+    largest = min(tightest, grip * friction / max(speed**2, 1e-9))  # the car may stand
+    curvature = np.clip(curvature, -largest, largest)
+    slip = speed**2 * curvature / grip * car.peak_slip / 3.0
+    # Of the velocities of the centre of mass and the axles relative to the body's x axis.
+    course = car.l_r * curvature - np.tan(slip)
+    steering = slip + np.arctan(course + car.l_f * curvature)
+    delta = np.clip(steering, -car.steering_angle, car.steering_angle)
+    omega = curvature * speed * np.hypot(1.0, course)
+    return np.array([x, y, speed, yaw - np.arctan(course), speed * course, omega, delta])
+
+
 def build_profile(scenario: Scenario, path: Path) -> SpeedProfile:
     """Return the speed profile for `speed.grip` of each zone's friction, at most `speed.v_max`."""
     if scenario.speed.constant:
@@ -206,6 +240,7 @@ def road_name(scenario: Scenario) -> str:
     track = scenario.track
     content = b"" if track.file is None else FilePath(track.file).read_bytes()
     seed = {"seed": float(scenario.seed)} if track.kind == "random" else {}
-    shape = sorted({**seed, **track.parameters}.items())
+    ends = {"closed": 0.0} if track.closed is False else {}
+    shape = sorted({**seed, **ends, **track.parameters}.items())
     text = json.dumps([track.kind, hashlib.sha256(content).hexdigest(), shape])
     return f"{track.kind}-{hashlib.sha256(text.encode()).hexdigest()[:16]}"

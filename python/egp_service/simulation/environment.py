@@ -11,8 +11,8 @@ import gymnasium as gym
 import numpy as np
 
 from egp_service._core import InvalidArgumentError, VehicleLostError
-from egp_service.quantities import DELTA, NU, NX, OMEGA, P_X, P_Y, POSITION, PSI, V_X, V_Y
-from egp_service.simulation.course import build_path, build_profile
+from egp_service.quantities import DELTA, NU, NX, OMEGA, POSITION, PSI, V_X, V_Y
+from egp_service.simulation.course import build_path, build_profile, start_state
 from egp_service.simulation.plant import make_plant, measurement_noise
 from egp_service.simulation.scenario import (
     Scenario,
@@ -153,12 +153,9 @@ class TrackEnvironment(gym.Env[Observation, Observation]):
         self._goal = laps * self._path.length
         self._limit = _PATIENCE * laps * profile.lap_time
         self._s, self._distance, self._time = 0.0, 0.0, 0.0
-        origin = np.zeros(1)
-        x = np.zeros(NX)
-        x[P_X], x[P_Y], x[PSI] = (float(column[0]) for column in self._path.sample(origin)[:3])
         v_start = scenario.speed.v_start
-        x[V_X] = profile.speed(origin)[0] if v_start is None else v_start
-        self._plant.reset(x)
+        speed = float(profile.speed(np.zeros(1))[0]) if v_start is None else v_start
+        self._plant.reset(start_state(scenario, self._path, speed))
 
     def _observe(self, x: NDArray[np.float64]) -> tuple[Observation, dict[str, Any]]:
         """Return observation and info of a true state (7,), and update the driven distance."""

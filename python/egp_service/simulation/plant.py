@@ -7,6 +7,7 @@ import traceback
 from contextlib import contextmanager
 from dataclasses import asdict, astuple
 from importlib import import_module
+from importlib.machinery import PathFinder
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Protocol
 
@@ -17,7 +18,7 @@ from egp_service.quantities import DELTA, NX, OMEGA, P_X, P_Y, PSI, V_X, V_Y
 from egp_service.simulation.scenario_checks import check_told
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -90,9 +91,9 @@ class CommonRoadPlant:
 class OwnPlant:
     """A user's simulator, checked."""
 
-    def __init__(self, name: str, path: Path) -> None:
+    def __init__(self, name: str, path: Path, folder: str | None = None) -> None:
         """Load `module:Class`; see `load_simulator`."""
-        self._simulator = load_simulator(name)
+        self._simulator = load_simulator(name, folder)
         self._name = name
         self._path = path
 
@@ -161,7 +162,7 @@ def make_plant(scenario: Scenario, path: Path) -> CommonRoadPlant | OwnPlant:
     if scenario.plant is None:
         return CommonRoadPlant(scenario, path)
     check_told(scenario, scenario.name)
-    return OwnPlant(scenario.plant, path)
+    return OwnPlant(scenario.plant, path, scenario.plant_folder)
 
 
 def measurement_noise(measurement: Measurement) -> NDArray[np.float64]:
@@ -170,26 +171,32 @@ def measurement_noise(measurement: Measurement) -> NDArray[np.float64]:
     return np.array([position, position, *rest])
 
 
-def load_simulator(name: str) -> Simulator:
-    """Make a simulator from `module:Class`; modules of the working folder are found.
+def load_simulator(name: str, folder: str | None = None) -> Simulator:
+    """Make a simulator from `module:Class`.
+
+    The module is looked for in `folder` if one is given, in the working folder, and among the
+    installed packages, in this order.
 
     Raises:
         PlantError: if there is no such class, it cannot be made, or it lacks `reset`, `step` or
-            `state`.
+            `state`, and if another module of this name was imported before.
 
     """
     module, colon, attribute = name.partition(":")
     if not (colon and module and attribute):
         raise PlantError(f"plant {name!r}: expected MODULE:CLASS, such as my_simulator:Car")
-    if str(FilePath.cwd()) not in sys.path:
-        sys.path.insert(0, str(FilePath.cwd()))
+    folders = list(dict.fromkeys(str(FilePath(each).absolute()) for each in (folder or "", "")))
+    sys.path[:0] = [each for each in folders if each not in sys.path]
     with _calling(f"plant {name!r} cannot be made"):
         try:
-            simulator: Simulator = getattr(import_module(module), attribute)()
+            imported = import_module(module)
+            _check_place(module.partition(".")[0], folders, name)
+            simulator: Simulator = getattr(imported, attribute)()
         except (ImportError, AttributeError, TypeError) as error:
             advice = (
-                "expected a class without arguments in a module of this folder, of a folder in it "
-                "(folder.my_simulator:Car) or of an installed package"
+                f"looked in {', '.join(folders)} and the installed packages: expected a class "
+                "without arguments in a module there, or of a folder there as "
+                "folder.my_simulator:Car"
             )
             if module.endswith(".py"):
                 dotted = module.removesuffix(".py").lstrip("./").replace("/", ".")
@@ -209,6 +216,19 @@ def load_simulator(name: str) -> Simulator:
             "and state (docs/simulator.md)"
         )
     return simulator
+
+
+def _check_place(module: str, folders: Sequence[str], name: str) -> None:
+    """Raise `PlantError` if a module of these folders was not imported because of another one."""
+    wanted = PathFinder.find_spec(module, folders)
+    found = getattr(sys.modules[module], "__file__", None)
+    if wanted is None or wanted.origin is None or found is None:  # as of folders without a file
+        return
+    if FilePath(found).resolve() != FilePath(wanted.origin).resolve():
+        raise PlantError(
+            f"plant {name!r} cannot be made: {wanted.origin} is not used, because {found} has the "
+            "same name and comes first: rename one of the two"
+        )
 
 
 def source_file(name: str) -> FilePath | None:

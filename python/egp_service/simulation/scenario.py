@@ -23,6 +23,7 @@ from egp_service.simulation.scenario_checks import (
     check_seed,
     check_speed,
     check_starts,
+    check_track,
 )
 from egp_service.simulation.zones import read_zone_rows
 from egp_service.vehicle import read_vehicle
@@ -79,6 +80,8 @@ class Track:
     """Raceline or centre line, for kind `csv`; relative to the scenario file."""
     parameters: dict[str, float] = field(default_factory=dict)
     """Dimensions of the kind, with the names of the constructors of `_core.Path`."""
+    closed: bool | None = None
+    """Whether the end of the file's track joins its start, for kind `csv`; true by default."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,6 +177,9 @@ class Scenario:
     """CommonRoad number of the simulated vehicle."""
     plant: str | None = None
     """`module:Class` of a simulator that is driven in place of the built-in vehicle."""
+    plant_folder: str | None = None
+    """Folder in which the module of `plant` is looked for first, relative to the scenario file; by
+    default that file's own."""
     vehicle_file: str | None = None
     """TOML file of a vehicle's parameters for gate and speeds, in place of those of the simulated
     vehicle; relative to the scenario file."""
@@ -265,6 +271,8 @@ def parse_scenario(text: str, folder: Path, origin: str) -> Scenario:
     if scenario.track.file is not None:
         track = replace(scenario.track, file=str(folder / scenario.track.file))
         scenario = replace(scenario, track=track)
+    if scenario.plant is not None:
+        scenario = replace(scenario, plant_folder=str(folder / (scenario.plant_folder or "")))
     if scenario.library != DEMO_LIBRARY:
         scenario = replace(scenario, library=str(folder / scenario.library))
     try:
@@ -344,11 +352,7 @@ def check_scenario(scenario: Scenario, origin: str) -> None:
             f"{origin}: actuator_delay must be in 0..={MAX_DELAY}, got {scenario.actuator_delay}"
         )
     check_speed(scenario.speed, origin)
-    if scenario.track.file is not None and scenario.track.kind != "csv":
-        raise ScenarioError(
-            f"{origin}: track.file is for track kind 'csv', got kind {scenario.track.kind!r}: set "
-            "kind = 'csv', or leave out `file`"
-        )
+    check_track(scenario.track, origin)
     positive = {
         "speed.friction": 1.0 if scenario.speed.friction is None else scenario.speed.friction,
         "laps": scenario.laps,
@@ -375,6 +379,8 @@ def check_scenario(scenario: Scenario, origin: str) -> None:
 
 
 def _check_plant(scenario: Scenario, origin: str) -> None:
+    if scenario.plant_folder is not None and scenario.plant is None:
+        raise ScenarioError(f"{origin}: plant_folder has no effect without `plant`: leave it out")
     if scenario.plant is not None and scenario.disturbances != Disturbances():
         raise ScenarioError(f"{origin}: disturbances have no effect on plant {scenario.plant!r}")
     try:

@@ -14,7 +14,7 @@ from egp_service.simulation.configuration import ConfigurationError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from egp_service.simulation.scenario import Measurement, Scenario, Speed
+    from egp_service.simulation.scenario import Measurement, Scenario, Speed, Track
 
 MAX_NAME = 50
 # A run's folder has the name, so a name holds nothing that would lead to another folder.
@@ -47,6 +47,16 @@ def check_name(name: str, origin: str) -> None:
             f"{origin}: name must be 1 to {MAX_NAME} letters, digits, spaces and . _ -, with a "
             f"letter, digit or _ first, got {name!r}"
         )
+
+
+def check_track(track: Track, origin: str) -> None:
+    """Raise `ScenarioError` for what concerns a track from a file, if it is of another kind."""
+    for name, value in (("file", track.file), ("closed", track.closed)):
+        if value is not None and track.kind != "csv":
+            raise ScenarioError(
+                f"{origin}: track.{name} is for track kind 'csv', got kind {track.kind!r}: set "
+                f"kind = 'csv', or leave out `{name}`"
+            )
 
 
 def check_measurement(measurement: Measurement, origin: str) -> None:

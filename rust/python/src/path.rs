@@ -167,8 +167,8 @@ impl Path {
 
     #[doc = doc!(Path.from_csv)]
     #[staticmethod]
-    #[pyo3(signature = (file, scale = 1.0))]
-    fn from_csv(py: Python<'_>, file: PathBuf, scale: f64) -> PyResult<Self> {
+    #[pyo3(signature = (file, scale = 1.0, closed = true))]
+    fn from_csv(py: Python<'_>, file: PathBuf, scale: f64, closed: bool) -> PyResult<Self> {
         let refuse = |error: &dyn Display| raise(format!("{}: {error}", file.display()));
         let text = py
             .detach(|| read_text(&file))
@@ -179,7 +179,7 @@ impl Path {
                 ErrorKind::InvalidInput => refuse(&error),
                 _ => refuse(&system_text(&error)),
             })?;
-        py.detach(|| read_track(&text, scale))
+        py.detach(|| read_track(&text, scale, closed))
             .map(Self)
             .map_err(|error| match error {
                 PathError::Parameter { name: "scale", .. } => InvalidArgumentError::raise(error),

@@ -7,9 +7,16 @@ use crate::path::Path;
 /// The columns in their usual order.
 pub(super) const COLUMNS: [&str; 4] = ["x_m", "y_m", "w_tr_right_m", "w_tr_left_m"];
 
-pub(super) fn read(text: &str, delimiter: char, scale: f64) -> Result<Path, PathError> {
+pub(super) fn read(
+    text: &str,
+    delimiter: char,
+    scale: f64,
+    closed: bool,
+) -> Result<Path, PathError> {
     let mut rows = table(text, delimiter, COLUMNS)?;
-    close(&mut rows, |&[x, y, ..]| [x, y])?;
+    if closed {
+        close(&mut rows, |&[x, y, ..]| [x, y])?;
+    }
     let (points, widths): (Vec<_>, Vec<_>) = rows
         .iter()
         .map(
@@ -19,5 +26,5 @@ pub(super) fn read(text: &str, delimiter: char, scale: f64) -> Result<Path, Path
              }| ([scale * x, scale * y], [scale * left, scale * right]),
         )
         .unzip();
-    Path::from_points(&points, true, Some(&widths))
+    Path::from_points(&points, closed, Some(&widths))
 }

@@ -6,7 +6,7 @@ mod raceline;
 use crate::error::{PathError, check};
 use crate::path::Path;
 
-/// Reads a closed track in either format: `;` separates the columns of a raceline, `,` or `;` those of a centre line. Lines
+/// Reads a track in either format: `;` separates the columns of a raceline, `,` or `;` those of a centre line. Lines
 /// that start with `#` are comments. The last line before the data that has the name of a column, a comment or not, is a
 /// header, which must have all names, in any order. A byte order mark at the start is skipped.
 ///
@@ -14,22 +14,23 @@ use crate::path::Path;
 ///   through the positions and has no widths; psi must agree with them, measured from +x or from +y.
 /// * Centre line: `x_m,y_m,w_tr_right_m,w_tr_left_m`.
 ///
-/// Lengths are multiplied by `scale`; 10 enlarges a track of 1:10 cars to the size of real ones.
+/// Lengths are multiplied by `scale`; 10 enlarges a track of 1:10 cars to the size of real ones. The end of a `closed` track leads
+/// to its start, whether or not the last line repeats the first; a track that is not closed ends at the last line.
 ///
 /// # Errors
 /// [`PathError`] if the scale is not positive, a line has too few or too many columns or a value that is not a finite
-/// number, a header has some of the names and not all, the end is far from the start, psi agrees with neither convention,
+/// number, a header has some of the names and not all, the end of a closed track is far from its start, psi agrees with neither convention,
 /// or [`Path::from_points`] fails. The error names the line where possible.
-pub fn read_track(text: &str, scale: f64) -> Result<Path, PathError> {
+pub fn read_track(text: &str, scale: f64, closed: bool) -> Result<Path, PathError> {
     check("scale", scale, "a positive number", |scale| scale > 0.0)?;
     let text = text.strip_prefix('\u{feff}').unwrap_or(text);
     let first = text.lines().find(|line| is_row(line));
     match first {
         Some(line) if line.split(';').count() == centre_line::COLUMNS.len() => {
-            centre_line::read(text, ';', scale)
+            centre_line::read(text, ';', scale, closed)
         }
-        Some(line) if line.contains(';') => raceline::read(text, scale),
-        Some(_) => centre_line::read(text, ',', scale),
+        Some(line) if line.contains(';') => raceline::read(text, scale, closed),
+        Some(_) => centre_line::read(text, ',', scale, closed),
         None => Err(PathError::TooFewPoints(0)),
     }
 }
@@ -162,7 +163,7 @@ fn close<const N: usize>(
             line: last.line,
             problem: format!(
                 "the last point is {gap:.2} m from the first, but adjacent points are at most {longest:.2} m \
-                 apart; these formats describe closed tracks"
+                 apart: state closed = false if this track is open"
             ),
         });
     }

@@ -10,7 +10,7 @@ use crate::path::{Path, wrap_angle};
 /// turn.
 const HEADING_TOLERANCE: f64 = 0.2;
 
-pub(super) fn read(text: &str, scale: f64) -> Result<Path, PathError> {
+pub(super) fn read(text: &str, scale: f64, closed: bool) -> Result<Path, PathError> {
     let columns = [
         "s_m",
         "x_m",
@@ -21,7 +21,9 @@ pub(super) fn read(text: &str, scale: f64) -> Result<Path, PathError> {
         "ax_mps2",
     ];
     let mut rows = table(text, ';', columns)?;
-    close(&mut rows, |&[_, x, y, ..]| [x, y])?;
+    if closed {
+        close(&mut rows, |&[_, x, y, ..]| [x, y])?;
+    }
     if let Some(pair) = rows
         .windows(2)
         .find(|pair| pair[1].values[0] <= pair[0].values[0])
@@ -38,22 +40,24 @@ pub(super) fn read(text: &str, scale: f64) -> Result<Path, PathError> {
         .iter()
         .map(|row| [scale * row.values[1], scale * row.values[2]])
         .collect();
-    let path = Path::from_points(&points, true, None)?;
-    check_heading(&rows)?;
+    let path = Path::from_points(&points, closed, None)?;
+    check_heading(&rows, closed)?;
     Ok(path)
 }
 
-/// Compares psi with the direction between the points before and after each point, measured from +x (as here) and from
-/// +y (as in the trajectory tools of TUM). The path uses the positions only; headings that agree with neither
+/// Compares psi with the direction between the points before and after each point, or from or to an end of an open path,
+/// measured from +x (as here) and from +y (as in the trajectory tools of TUM). The path uses the positions only; headings that agree with neither
 /// convention indicate wrong columns or a wrong order of the points.
-fn check_heading(rows: &[Row<7>]) -> Result<(), PathError> {
+fn check_heading(rows: &[Row<7>], closed: bool) -> Result<(), PathError> {
     let count = rows.len();
     let mean_error = |quarter: f64| {
         let errors = (0..count).map(|i| {
-            let (before, after) = (
-                &rows[(i + count - 1) % count].values,
-                &rows[(i + 1) % count].values,
-            );
+            let (before, after) = if closed {
+                ((i + count - 1) % count, (i + 1) % count)
+            } else {
+                (i.saturating_sub(1), (i + 1).min(count - 1))
+            };
+            let (before, after) = (&rows[before].values, &rows[after].values);
             let travel = (after[2] - before[2]).atan2(after[1] - before[1]);
             let error = rows[i].values[3] + quarter - travel;
             wrap_angle(error).abs()

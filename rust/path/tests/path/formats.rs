@@ -41,7 +41,7 @@ fn centre_line() -> String {
 }
 
 fn problem(text: &str) -> (usize, String) {
-    match read_track(text, 1.0).unwrap_err() {
+    match read_track(text, 1.0, true).unwrap_err() {
         PathError::Format { line, problem } => (line, problem),
         other => (0, other.to_string()),
     }
@@ -50,7 +50,7 @@ fn problem(text: &str) -> (usize, String) {
 #[test]
 fn racelines_are_read_with_either_heading() {
     for psi in [|yaw| yaw, |yaw| yaw - FRAC_PI_2, |yaw| yaw - TAU] {
-        let path = read_track(&raceline(psi), 1.0).unwrap();
+        let path = read_track(&raceline(psi), 1.0, true).unwrap();
         assert!((path.length() - TAU * 20.0).abs() < 1e-3);
         assert!(path.closed() && !path.has_widths());
         assert!((path.sample(5.0).yaw - (5.0 / 20.0 + FRAC_PI_2)).abs() < 1e-4);
@@ -65,32 +65,32 @@ fn headings_of_neither_convention_are_errors() {
         |yaw: f64| yaw.to_degrees(),
         |_| 0.0,
     ] {
-        let error = read_track(&raceline(psi), 1.0).unwrap_err();
+        let error = read_track(&raceline(psi), 1.0, true).unwrap_err();
         assert!(matches!(error, PathError::Heading { .. }), "{error}");
     }
 }
 
 #[test]
 fn centre_lines_have_left_and_right_widths() {
-    let path = read_track(&centre_line(), 1.0).unwrap();
+    let path = read_track(&centre_line(), 1.0, true).unwrap();
     let at = path.sample(30.0);
     assert!((at.left - 3.5).abs() < 1e-9 && (at.right - 2.0).abs() < 1e-9);
     assert!((path.length() - TAU * 20.0).abs() < 1e-2);
-    let path = read_track(&centre_line(), 10.0).unwrap();
+    let path = read_track(&centre_line(), 10.0, true).unwrap();
     assert!((path.sample(30.0).left - 35.0).abs() < 1e-9);
     assert!((path.length() - TAU * 200.0).abs() < 1e-1);
-    assert!(read_track(&centre_line(), 0.0).is_err());
+    assert!(read_track(&centre_line(), 0.0, true).is_err());
 }
 
 #[test]
 fn the_columns_of_a_centre_line_may_be_separated_by_semicolons() {
     let text = centre_line();
-    let path = read_track(&text, 1.0).unwrap();
+    let path = read_track(&text, 1.0, true).unwrap();
     for other in [
         text.replace(',', ";"),
         text.replacen("# ", "", 1).replace(',', ";"),
     ] {
-        let read = read_track(&other, 1.0).unwrap();
+        let read = read_track(&other, 1.0, true).unwrap();
         assert_eq!(read.sample(10.0), path.sample(10.0));
     }
 }
@@ -102,21 +102,21 @@ fn a_header_may_name_the_columns_in_any_order() {
         .map(|(a, b)| (a.to_owned(), b.to_owned()))
         .unwrap();
     let swapped = "# x_m,y_m,w_tr_left_m,w_tr_right_m";
-    let at = read_track(&format!("\u{feff}{swapped}\n{rows}"), 1.0)
+    let at = read_track(&format!("\u{feff}{swapped}\n{rows}"), 1.0, true)
         .unwrap()
         .sample(30.0);
     assert!((at.left - 2.0).abs() < 1e-9 && (at.right - 3.5).abs() < 1e-9);
     // Only the last comment with the name of a column is the header.
     let text = format!("{swapped}\n\n{header}\n{rows}");
-    assert!((read_track(&text, 1.0).unwrap().sample(30.0).left - 3.5).abs() < 1e-9);
-    assert!(read_track(&format!("# my track, made by hand\n{rows}"), 1.0).is_ok());
+    assert!((read_track(&text, 1.0, true).unwrap().sample(30.0).left - 3.5).abs() < 1e-9);
+    assert!(read_track(&format!("# my track, made by hand\n{rows}"), 1.0, true).is_ok());
     let followed = format!("{swapped},\n# made by hand\n{rows}");
-    assert!((read_track(&followed, 1.0).unwrap().sample(30.0).left - 2.0).abs() < 1e-9);
+    assert!((read_track(&followed, 1.0, true).unwrap().sample(30.0).left - 2.0).abs() < 1e-9);
     let plain = format!(
         "# made by hand\n{}\n{rows}",
         swapped.trim_start_matches("# ")
     );
-    assert!((read_track(&plain, 1.0).unwrap().sample(30.0).left - 2.0).abs() < 1e-9);
+    assert!((read_track(&plain, 1.0, true).unwrap().sample(30.0).left - 2.0).abs() < 1e-9);
     for wrong in [
         "# x_m,y_m,left,right",
         "# x_m,y_m",
@@ -156,7 +156,7 @@ fn errors_name_the_line() {
         .collect();
     let (line, message) = problem(&half);
     assert!(
-        line == 30 && message.contains("closed tracks"),
+        line == 30 && message.contains("closed = false"),
         "{line}: {message}"
     );
     let mut lines: Vec<_> = text.lines().collect();

@@ -43,14 +43,15 @@ fn an_accepted_track_is_a_lap_with_edges() {
     fuzz!(5 * TIME, [centre_line, raceline], WORDS, |bytes: Vec<
         u8,
     >| {
-        let Ok(path) = read_track(&String::from_utf8_lossy(&bytes), 1.0) else {
+        let closed = bytes.len() % 2 == 0;
+        let Ok(path) = read_track(&String::from_utf8_lossy(&bytes), 1.0, closed) else {
             return;
         };
         let length = path.length();
-        assert!(length > 0.0 && length.is_finite() && path.closed());
+        assert!(length > 0.0 && length.is_finite() && path.closed() == closed);
         for lap in [-1.5, 0.0, 0.3, 1.0, 2.7] {
             let (s, at) = (path.wrap(lap * length), path.sample(lap * length));
-            assert!((0.0..=length).contains(&s));
+            assert!(!closed || (0.0..=length).contains(&s));
             assert!(
                 [at.x, at.y, at.yaw, at.curvature]
                     .iter()
