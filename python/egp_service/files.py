@@ -1,10 +1,11 @@
-"""Reading of files; atomic writing: a complete temporary file is renamed; locks of folders."""
+"""Names and reading of files; atomic writing: a complete temporary file is renamed; locks."""
 
 from __future__ import annotations
 
 import errno
 import fcntl
 import os
+import re
 import stat
 import tomllib
 from contextlib import contextmanager
@@ -16,6 +17,11 @@ from egp_service._core import EgpError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
+
+def file_name(text: str) -> str:
+    """Return the text with a hyphen for what is no letter or digit, so that it names one file."""
+    return re.sub(r"\W+", "-", text)
 
 
 def destination(path: Path) -> Path:
@@ -104,12 +110,7 @@ def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
 
 
 def read_bytes(path: Path) -> bytes:
-    """Read a file.
-
-    Raises:
-        EgpError: naming the file, if it cannot be read.
-
-    """
+    """Read a file; raise `EgpError` naming it if it cannot be read."""
     try:
         return path.read_bytes()
     except OSError as error:  # that of a read, unlike that of opening a file, names no file
@@ -117,11 +118,6 @@ def read_bytes(path: Path) -> bytes:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file atomically.
-
-    Raises:
-        OSError: as for `replacing`.
-
-    """
+    """Write a text file atomically; `OSError` as for `replacing`."""
     with replacing(path) as beside:
         beside.write_text(text, encoding="utf-8")

@@ -22,9 +22,7 @@ def simulated_name(number: int) -> str:
 def known_vehicle(name: str) -> VehicleParameters:
     """Return the parameters of a simulated vehicle by its name in datasets.
 
-    Raises:
-        EgpError: for the name of any other vehicle, whose parameters must be stated.
-
+    The name of any other vehicle, whose parameters must be stated, is an error.
     """
     vehicle = simulated_vehicle(name)
     if vehicle is None:

@@ -15,14 +15,14 @@ import pytest
 from typer.main import get_command
 from typer.testing import CliRunner
 
-from egp_service import Controller, EgpError, Library, Plant, shipped
+from egp_service import Controller, EgpError, Library, Plant, Recorder, shipped
 from egp_service import Path as Road
 from egp_service._core import SETTINGS_DOCUMENT
 from egp_service.cli import app
 from egp_service.cli.checks import run_checks
 from egp_service.cli.settings_text import read_settings_document
 from egp_service.control.endpoints import check_endpoints, why_not_free, why_unreachable
-from egp_service.control.recorded import Recorded, RecordedStep, RecordingError, write_requests
+from egp_service.control.recorded import Recorded, RecordedStep, write_requests
 from egp_service.data.dataset import Dataset
 from egp_service.data.provenance import Provenance
 from egp_service.files import replacing, write_text
@@ -165,9 +165,12 @@ def test_requests_of_a_recording_are_written_behind_their_lengths() -> None:
     lengths = [b"\x01", b"\x7f", b"\x80\x01", b"\xa1\x9c\x01"]
     joined = b"".join(length + request for length, request in zip(lengths, requests, strict=True))
     assert file.getvalue() == joined
-    empty = Recorded({}, None, {}, None, [], complete=True)
-    with pytest.raises(RecordingError, match="at least one step"):
-        write_requests(empty, file)
+
+
+def test_a_recording_without_steps_is_no_load(tmp_path: Path) -> None:
+    with Controller(shipped.DEMO_LIBRARY, gate=Plant().parameters.gate_limits()) as controller:
+        Recorder(tmp_path / "run.mcap", controller).close()
+    assert "has no step to replay" in failure("load", "--replay", str(tmp_path))
 
 
 def test_a_port_in_use_and_a_wrong_endpoint_are_named() -> None:

@@ -105,10 +105,8 @@ def test_the_single_track_drives_like_the_car_far_from_the_limit(
     assert motion[0] == pytest.approx(v_x, rel=0.02)
 
 
-def test_unknown_kinds_and_members_without_vehicle_are_errors(tmp_path: Path) -> None:
+def test_a_member_without_vehicle_is_an_error(tmp_path: Path) -> None:
     path = tmp_path / "none.safetensors"
-    with pytest.raises(EgpError, match="no baseline 'flying'; known: fitted, single-track"):
-        baselines.write(path, "flying", EVALUATION_LIBRARY, [0], 1)
     with pytest.raises(EgpError, match="has no vehicle: train with mean = 'single-track'"):
         baselines.write(path, "fitted", EVALUATION_LIBRARY, [CONSTANT_MEAN], 1)
     assert not path.exists()

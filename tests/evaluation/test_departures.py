@@ -173,7 +173,7 @@ def test_the_picture_of_risks_shows_departures_alone(
         *runs(lost, [False] * 4),
     ]
     drawn: list[Figure] = []
-    monkeypatch.setattr(figures, "_save", lambda figure, _: drawn.append(figure))
+    monkeypatch.setattr(figures, "save", lambda figure, _: drawn.append(figure))
     figures.draw_risk(grouped(outcomes), tmp_path / "risk.png")
     (ax,) = drawn[0].axes
     shown = {str(line.get_label()): np.asarray(line.get_ydata()).tolist() for line in ax.lines}

@@ -26,9 +26,9 @@ from egp_service.evaluation.disturbances import (
     compare,
     rows,
 )
-from egp_service.evaluation.disturbed_library import train
 from egp_service.evaluation.experiment import CUSTOM_TRACK
 from egp_service.evaluation.experiments import with_members
+from egp_service.evaluation.library import make_disturbed
 from egp_service.shipped import DEMO_LIBRARY, DISTURBANCE_RECIPE, EVALUATION_LIBRARY
 from egp_service.training.recipe import Displays
 from outcome_example import OUTCOME
@@ -71,7 +71,7 @@ def test_members_are_trained_with_the_disturbance_and_drive_with_it(tmp_path: Pa
         text = text.replace(old, new)
     recipe.write_text(text, encoding="utf-8")
     path = campaign.disturbed_library(FIRST)
-    train(path, DISTURBED[FIRST], Displays(), recipe=recipe, jobs=1)
+    make_disturbed(path, DISTURBED[FIRST], Displays(), recipe=recipe, jobs=1)
     own = Library.load(path).members
     assert [member.friction for member in own] == [0.5, 1.1]
     batch = campaign.runs(trials, lambda _: None)

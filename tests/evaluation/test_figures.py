@@ -80,7 +80,7 @@ def test_the_axis_of_errors_says_that_it_is_logarithmic(
     decades: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     save = Mock()
-    monkeypatch.setattr(figures, "_save", save)
+    monkeypatch.setattr(figures, "save", save)
     groups = [
         Mock(
             contender=str(error),

@@ -16,6 +16,8 @@ from egp_service.evaluation import experiments
 from egp_service.evaluation.campaign import SHOWN_CONTENDERS, fingerprint
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
 from egp_service.evaluation.experiments import EXPERIMENTS, on_track
+from egp_service.simulation.closed_loop import drive
+from egp_service.simulation.in_process import in_process_controller
 from egp_service.simulation.scenario import load_scenario
 from egp_service.simulation.scenario_checks import ScenarioError
 from fewer_contenders import with_contenders
@@ -101,3 +103,20 @@ def test_what_cannot_be_driven_is_refused_first(tmp_path: Path) -> None:
         on_track(UNSEEN, file, 1e-3)
     result = CliRunner().invoke(app, ["evaluate", "-e", "lane-change", "--track", str(file)])
     assert isinstance(result.exception, EgpError)
+    for option, *value in (["--scale", "10"], ["--open"]):
+        result = CliRunner().invoke(app, ["evaluate", "-e", "unseen-track", option, *value])
+        assert str(result.exception) == f"{option} requires --track: give both"
+
+
+def test_a_track_that_is_not_closed_is_driven_to_its_end(tmp_path: Path) -> None:
+    file = tmp_path / "lane.csv"
+    s = np.arange(0.0, 60.0, 5.0)
+    np.savetxt(file, np.column_stack([s, 0.0 * s, np.full((len(s), 2), 3.0)]), delimiter=",")
+    with pytest.raises(EgpError, match="closed = false if this one is open"):
+        on_track(UNSEEN, file, 1.0)
+    own = on_track(UNSEEN, file, 1.0, closed=False)
+    scenario = next(own.trials([0])).scenario
+    with in_process_controller(scenario) as controller:
+        run = drive(scenario, controller, lambda _: None)
+    assert run.summary.ending.completed
+    assert run.trace.distance[-1] == pytest.approx(s[-1], abs=0.5)

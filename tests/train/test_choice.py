@@ -18,7 +18,7 @@ from egp_service._core import Library
 from egp_service.cli.tables import kind_sentence, skill_warnings
 from egp_service.data.dataset import Dataset
 from egp_service.training import prior_mean, sparse
-from egp_service.training.average_member import PriorMean, average_member
+from egp_service.training.average_member import average_member
 from egp_service.training.choice import KINDS, MARGIN, hold_out, preferred
 from egp_service.training.euler import euler_steps
 from egp_service.training.exact_member import START
@@ -34,9 +34,10 @@ from egp_service.training.open_loop import (
     student_loss,
     student_scale,
 )
+from egp_service.training.prior_mean import PriorMean
 from egp_service.training.sparse import PosteriorMean, average_targets, fit_sparse
 from egp_service.training.train import TrainingSettings, split, train, train_parts
-from egp_service.training.trained import ScaledData
+from egp_service.training.trained import Scaling
 from egp_service.training.validation import member_skill
 
 if TYPE_CHECKING:
@@ -352,5 +353,6 @@ def test_a_log_too_short_for_a_choice_is_an_error_that_says_how_long_it_must_be(
 def test_a_graphics_card_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     values = np.random.default_rng(0).standard_normal((9, 6))
-    scaled = ScaledData.of(values, values[:, :3], np.zeros(3), np.ones(3))
-    assert scaled.z.device.type == scaled.y.device.type == "cpu"
+    scaling = Scaling.of(values, np.zeros(3), np.ones(3))
+    scaled = scaling.inputs(values), scaling.targets(values[:, :3])
+    assert {tensor.device.type for tensor in scaled} == {"cpu"}

@@ -13,7 +13,6 @@ import torch
 from egp_service.training import gaussian_process
 from egp_service.training.gaussian_process import (
     CORRECTIONS,
-    FitStep,
     Hyperparameters,
     OutputProcess,
     exact,
@@ -64,8 +63,8 @@ def test_a_fit_evaluates_no_point_twice_in_a_row(monkeypatch: pytest.MonkeyPatch
         return shared_loss(processes)
 
     monkeypatch.setattr(gaussian_process, "shared_loss", counted)
-    steps: list[FitStep] = []
-    fit(sharing("rbf"), [START], 20, steps.append)
-    assert len(steps) > 2
-    assert [step.iteration for step in steps] == list(range(1, len(steps) + 1))
+    iterations: list[int] = []
+    fit(sharing("rbf"), [START], 20, lambda _start, number, _loss: iterations.append(number))
+    assert len(iterations) > 2
+    assert iterations == list(range(1, len(iterations) + 1))
     assert all(one != other for one, other in pairwise(points))

@@ -133,8 +133,3 @@ def test_all_surfaces_are_driven_with_one_vehicle(change: dict[str, object]) -> 
     other = replace(SURFACES[1], **change)  # type: ignore[arg-type]
     with pytest.raises(EgpError, match=r"'mu 1\.1' has another vehicle or other disturbances"):
         drive_laps(LIBRARY, [SURFACES[0], other], TWO_LAPS)
-
-
-def test_without_surfaces_there_is_nothing_to_drive_on() -> None:
-    with pytest.raises(EgpError, match="no surfaces"):
-        drive_laps(LIBRARY, [], TWO_LAPS)

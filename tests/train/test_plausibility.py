@@ -24,14 +24,6 @@ def check(log: Log) -> None:
     plausibility.check(log, COLUMNS, MASS)
 
 
-@pytest.mark.parametrize("wheelbase", [0.0, -2.5, np.nan, np.inf])
-def test_a_wheelbase_that_cannot_be_is_named_before_the_log_is_read(
-    tmp_path: Path, wheelbase: float
-) -> None:
-    with pytest.raises(EgpError, match="expected a positive wheelbase in m"):
-        import_log(tmp_path / "absent.csv", COLUMNS, provenance(), wheelbase=wheelbase)
-
-
 @pytest.mark.parametrize("file", ["absent.csv", "absent.mcap"])
 @pytest.mark.parametrize(
     ("changes", "mass", "complaint"),

@@ -155,19 +155,24 @@ def test_a_library_with_a_vehicle_predicts_what_gpytorch_does(tmp_path: Path) ->
     settings = dataclasses.replace(SETTINGS, mean="single-track", max_iterations=10)
     (member,) = train([surface()], settings)
     export(tmp_path / "vehicle", [member], settings, {}, TOY)
-    assert member.single_track is not None
+    fitted = member.mean
+    assert fitted.single_track is not None
     # Another vehicle whose drive and braking differ everywhere, which the fit may not show.
     known, vehicle = (
-        prior_mean.predict(member.inputs, parameters, 0.05, member.steps)
-        for parameters in (member.single_track, VEHICLE)
+        prior_mean.predict(member.inputs, parameters, 0.05, fitted.steps)
+        for parameters in (fitted.single_track, VEHICLE)
     )
     other = dataclasses.replace(
-        member, single_track=VEHICLE, targets=member.targets - known + vehicle
+        member,
+        mean=fitted._replace(single_track=VEHICLE),
+        targets=member.targets - known + vehicle,
     )
     export(tmp_path / "other", [other], settings, {}, TOY)
-    free = prior_mean.predict(member.inputs, VEHICLE[:17], 0.05, member.steps)
+    free = prior_mean.predict(member.inputs, VEHICLE[:17], 0.05, fitted.steps)
     without = dataclasses.replace(
-        member, single_track=VEHICLE[:17], targets=member.targets - known + free
+        member,
+        mean=fitted._replace(single_track=VEHICLE[:17]),
+        targets=member.targets - known + free,
     )
     export(tmp_path / "free", [without], settings, {}, TOY)
     z = surface(0.8, seed=9).z
@@ -175,12 +180,12 @@ def test_a_library_with_a_vehicle_predicts_what_gpytorch_does(tmp_path: Path) ->
     assert (z[:, 4] < 0.0).any()
     for name, trained in (("vehicle", member), ("other", other), ("free", without)):
         library = Library.load(tmp_path / name)
-        assert library.members[0].euler_steps == member.steps > 1
+        assert library.members[0].euler_steps == fitted.steps > 1
         read = library.members[0]
         assert read.single_track is not None
         assert read.resistance is not None
         own = [read.single_track, read.resistance][: 1 if name == "free" else 2]
-        np.testing.assert_array_equal(np.concatenate(own), trained.single_track)
+        np.testing.assert_array_equal(np.concatenate(own), trained.mean.single_track)
         assert name != "free" or not read.resistance.any()
         for ours, theirs in zip(library.predict(z), trained.predict(z), strict=True):
             np.testing.assert_allclose(ours, theirs, atol=1e-9 * np.abs(theirs).max())

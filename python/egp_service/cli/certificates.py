@@ -92,12 +92,7 @@ def listening_hosts(certificate: bytes) -> list[str]:
 
 
 def _read(certificate: bytes) -> x509.Certificate:
-    """Read a certificate (PEM).
-
-    Raises:
-        ValueError: if it cannot be read.
-
-    """
+    """Read a certificate (PEM); `ValueError` if it cannot be read."""
     from cryptography import x509
 
     try:
@@ -112,10 +107,7 @@ class Authority:
     def __init__(self, identity: Identity) -> None:
         """Use the authority's own certificate and private key.
 
-        Raises:
-            ValueError: if the certificate or the private key cannot be read.
-            TypeError: if the certificate or the private key cannot be read.
-
+        `ValueError` or `TypeError` if one of them cannot be read.
         """
         from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
         from cryptography.hazmat.primitives.serialization import load_pem_private_key
@@ -130,15 +122,10 @@ class Authority:
     @classmethod
     def new(cls, days: int) -> Self:
         """Make an authority whose certificate is valid for `days`."""
-        from cryptography import x509
         from cryptography.hazmat.primitives.asymmetric import ec
 
         key = ec.generate_private_key(ec.SECP256R1())
-        name = "egp authority"
-        builder = _builder(name, _after(days), key, x509.Name([_common_name(name)]))
-        constraints = x509.BasicConstraints(ca=True, path_length=0)
-        builder = builder.add_extension(constraints, critical=True)
-        builder = builder.add_extension(_key_usage(authority=True), critical=True)
+        builder = _builder("egp authority", _after(days), key, None)
         return cls(_signed(builder, key, key))
 
     @property
@@ -158,9 +145,6 @@ class Authority:
 
         key = ec.generate_private_key(ec.SECP256R1())
         builder = _builder(name, min(_after(days), self.end), key, self._certificate.subject)
-        constraints = x509.BasicConstraints(ca=False, path_length=None)
-        builder = builder.add_extension(constraints, critical=True)
-        builder = builder.add_extension(_key_usage(authority=False), critical=True)
         uses = [ExtendedKeyUsageOID.CLIENT_AUTH]
         if hosts:
             uses.append(ExtendedKeyUsageOID.SERVER_AUTH)
@@ -220,18 +204,25 @@ def _after(days: int) -> datetime:
 
 
 def _builder(
-    name: str, end: datetime, key: EllipticCurvePrivateKey, issuer: x509.Name
+    name: str, end: datetime, key: EllipticCurvePrivateKey, issuer: x509.Name | None
 ) -> x509.CertificateBuilder:
+    """Begin a certificate; without an issuer it is that of an authority."""
     from cryptography import x509
+    from cryptography.x509.oid import NameOID
 
+    subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
+    authority = issuer is None
+    constraints = x509.BasicConstraints(ca=authority, path_length=0 if authority else None)
     return (
         x509.CertificateBuilder()
-        .subject_name(x509.Name([_common_name(name)]))
-        .issuer_name(issuer)
+        .subject_name(subject)
+        .issuer_name(subject if issuer is None else issuer)
         .public_key(key.public_key())
         .serial_number(x509.random_serial_number())
         .not_valid_before(datetime.now(UTC) - _CLOCK_DIFFERENCE)
         .not_valid_after(end)
+        .add_extension(constraints, critical=True)
+        .add_extension(_key_usage(authority=authority), critical=True)
     )
 
 
@@ -246,13 +237,6 @@ def _signed(
     certificate = builder.sign(authority, SHA256()).public_bytes(Encoding.PEM)
     private = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
     return Identity(certificate, private)
-
-
-def _common_name(name: str) -> x509.NameAttribute[str]:
-    from cryptography import x509
-    from cryptography.x509.oid import NameOID
-
-    return x509.NameAttribute(NameOID.COMMON_NAME, name)
 
 
 def _host(host: str) -> x509.GeneralName:

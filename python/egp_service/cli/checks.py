@@ -125,13 +125,12 @@ def _extras() -> Check:
         if find_spec(package) is None:
             missing.setdefault(extra, []).append(package)
     have = sorted(set(EXTRAS.values()) - set(missing))
-    found = f"installed: {', '.join(have) or 'none'}"
+    found, advice = f"installed: {', '.join(have) or 'none'}", ""
     if missing:
         found += f"; not installed: {', '.join(sorted(missing))}"
         extras = ",".join(sorted(missing))
         advice = f"only if you need them: pip install 'egp-service[{extras}]'"
-        return Check("extras", "ok", found, advice)
-    return Check("extras", "ok", found)
+    return Check("extras", "ok", found, advice)
 
 
 def _zenoh() -> Check:

@@ -70,11 +70,7 @@ def _predictions(progress: Progress, output: Path, *, full: bool) -> Batch[Any, 
     quick = prediction.PredictionSettings(1, _QUICK_TRANSITIONS, _QUICK_ITERATIONS)
     settings = prediction.PredictionSettings() if full else quick
     task = progress.add_task("prediction: training and testing seeds", total=settings.seeds)
-
-    def report(_: SeedOutcomes) -> None:
-        progress.advance(task)
-
-    return prediction.seeds(settings, output, report)
+    return prediction.seeds(settings, output, lambda _: progress.advance(task))
 
 
 def _runs(

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from egp_service._core import EgpError
 from egp_service.cli.options import check_writable
+from egp_service.cli.output import say
 from egp_service.cli.progress import fitting
 from egp_service.cli.tables import (
     MOTION_NAMES,
@@ -16,9 +17,9 @@ from egp_service.cli.tables import (
     vehicle_table,
 )
 from egp_service.data.dataset import Dataset
-from egp_service.evaluation.file_names import file_name
 from egp_service.evaluation.log_figures import draw_log
 from egp_service.evaluation.logs import LAST_CHANGE, OURS, LogOutcome, evaluate_logs
+from egp_service.files import file_name
 from egp_service.training.train import TrainingSettings
 from egp_service.vehicle import read_vehicle
 
@@ -55,7 +56,7 @@ def evaluate_on(console: Console, logs: Sequence[Path], vehicle: Path | None, ou
         _show(console, outcome)
         with console.status("Drawing ..."):
             draw_log(outcome, picture)
-        console.print(f"Look at {picture}", markup=False, highlight=False)
+        say(console, f"Look at {picture}")
 
 
 def _show(console: Console, outcome: LogOutcome) -> None:
@@ -63,37 +64,37 @@ def _show(console: Console, outcome: LogOutcome) -> None:
     for name, noise, correlation in zip(
         MOTION_NAMES, found.noise, found.autocorrelation, strict=True
     ):
-        console.print(
+        say(
+            console,
             f"{outcome.name}: {name} has white noise of {noise:.4f}; "
             f"consecutive changes correlate by {correlation:+.2f}",
-            markup=False,
-            highlight=False,
         )
-    console.print(
+    say(
+        console,
         f"{outcome.name}: the yaw rate follows the steering by {found.steering_delay:.2f} s, the "
         f"change of v_x the force by {found.force_delay:.2f} s",
-        markup=False,
-        highlight=False,
+        delay_sentence(outcome.delays),
     )
-    console.print(delay_sentence(outcome.delays), highlight=False)
     if outcome.member.vehicle is not None:
         console.print(vehicle_table(outcome.name, outcome.member.vehicle.summary()))
     console.print(skill_table(outcome.name, outcome.skill))
-    values = ", ".join(f"{error:.4f}" for error in outcome.last_change)
-    console.print(f"{LAST_CHANGE}, after one period: {values}", highlight=False)
-    values = ", ".join(f"{error:.4f}" for error in outcome.with_residual)
-    console.print(f"member with the residual, after one period: {values}", highlight=False)
-    console.print(
-        f"inside the member's 95 % intervals: {_shares(outcome.coverage)}", highlight=False
-    )
-    console.print(f"with the residual: {_shares(outcome.residual_coverage)}", highlight=False)
-    console.print("settings of this residual for the control step:", highlight=False)
-    console.print(outcome.residual.settings(), highlight=False, markup=False)
     member = outcome.member
-    sentence = kind_sentence(outcome.name, member.kind, member.likelihoods)
-    console.print(sentence, markup=False, highlight=False)
+    say(
+        console,
+        f"{LAST_CHANGE}, after one period: {_errors(outcome.last_change)}",
+        f"member with the residual, after one period: {_errors(outcome.with_residual)}",
+        f"inside the member's 95 % intervals: {_shares(outcome.coverage)}",
+        f"with the residual: {_shares(outcome.residual_coverage)}",
+        "settings of this residual for the control step:",
+        outcome.residual.settings(),
+        kind_sentence(outcome.name, member.kind, member.likelihoods),
+    )
     for warning in skill_warnings(outcome.name, OURS, outcome.skill):
-        console.print(warning, style="yellow", markup=False, highlight=False)
+        say(console, warning, style="yellow")
+
+
+def _errors(errors: NDArray[np.float64]) -> str:
+    return ", ".join(f"{error:.4f}" for error in errors)
 
 
 def _shares(shares: NDArray[np.float64]) -> str:

@@ -20,6 +20,14 @@ Cluster = Annotated[
     ),
 ]
 
+Recording = Annotated[
+    Path,
+    typer.Argument(
+        help="A run.mcap of `egp drive` or `Recorder`, or its folder.", show_default=False
+    ),
+]
+RunsFolder = Annotated[Path, typer.Option("--output", "-o", help="Folder of the runs.")]
+
 
 def fleet_and_name(vehicle: str | None) -> tuple[str, str]:
     """Return fleet and name of a vehicle given as FLEET/NAME or, in fleet `default`, as NAME."""
@@ -30,9 +38,7 @@ def fleet_and_name(vehicle: str | None) -> tuple[str, str]:
 def recording_file(path: Path) -> Path:
     """Return a recording, which for the folder of a drive is the one in it.
 
-    Raises:
-        EgpError: for a folder without a recording.
-
+    A folder without a recording is an error.
     """
     if not path.is_dir():
         return path
@@ -46,12 +52,7 @@ def recording_file(path: Path) -> Path:
 
 
 def check_unused(options: Mapping[str, object], reason: str) -> None:
-    """Errors if one of these options has a value, which is why they cannot be used.
-
-    Raises:
-        EgpError: naming the options that were given, and the reason.
-
-    """
+    """Errors if one of these options has a value; `reason` says why they cannot be used."""
     if given := [name for name, value in options.items() if value]:
         raise EgpError(f"{', '.join(given)} {reason}")
 
@@ -81,12 +82,7 @@ def check_writable(*files: Path | None) -> None:
 
 
 def check_outputs(inputs: Iterable[Path | None], *outputs: Path | None) -> None:
-    """Errors if a file that a command writes is one that it reads, or another that it writes.
-
-    Raises:
-        EgpError: naming both files, before anything is written.
-
-    """
+    """Errors if a file that a command writes is one that it reads, or another that it writes."""
     taken = [file for file in inputs if file is not None]
     for output in outputs:
         if output is None:

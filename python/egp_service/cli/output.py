@@ -14,6 +14,7 @@ from egp_service._core import EgpError
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
+    from rich.console import Console
 
 
 class _StandardOutput(io.FileIO):
@@ -42,6 +43,11 @@ def install() -> None:
         line_buffering=out.line_buffering,
         write_through=out.write_through,
     )
+
+
+def say(console: Console, *lines: str, style: str | None = None) -> None:
+    """Print lines as they are: brackets are no markup, and numbers have no colours of their own."""
+    console.print(*lines, sep="\n", style=style, markup=False, highlight=False)
 
 
 def show_own_warnings() -> None:

@@ -34,22 +34,28 @@ def counting(console: Console) -> Progress:
     )
 
 
+def _bars(console: Console, noun: str, *, transient: bool) -> Progress:
+    """Return bars that count things, with the remaining time."""
+    return Progress(
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn(noun),
+        TimeRemainingColumn(),
+        console=console,
+        transient=transient,
+    )
+
+
 @contextlib.contextmanager
 def collecting(console: Console) -> Iterator[Callable[[str, int, int], None]]:
     """Show a bar for each surface; the callable takes label, completed runs and all runs."""
-    with Progress(
-        TextColumn("collecting {task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("runs"),
-        TimeRemainingColumn(),
-        console=console,
-    ) as progress:
+    with _bars(console, "runs", transient=False) as progress:
         tasks = {}
 
         def report(label: str, done: int, total: int) -> None:
             if label not in tasks:
-                tasks[label] = progress.add_task(label, total=total)
+                tasks[label] = progress.add_task(f"collecting {label}", total=total)
             progress.update(tasks[label], completed=done)
 
         yield report
@@ -58,15 +64,7 @@ def collecting(console: Console) -> Iterator[Callable[[str, int, int], None]]:
 @contextlib.contextmanager
 def counted(console: Console, what: str, noun: str) -> Iterator[Callable[[int, int], None]]:
     """Show a bar until the work is done; the callable takes the completed things, and all."""
-    with Progress(
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn(noun),
-        TimeRemainingColumn(),
-        console=console,
-        transient=True,
-    ) as progress:
+    with _bars(console, noun, transient=True) as progress:
         task = progress.add_task(what, total=None, visible=False)
 
         def report(done: int, total: int) -> None:

@@ -68,14 +68,7 @@ def read_service(path: Path) -> dict[str, object]:
 
 
 def read_map(path: Path) -> dict[str, object]:
-    """Read the configuration of a map service, which checks it.
-
-    Its relative paths start at the file's folder.
-
-    Raises:
-        EgpError: naming the file, if it cannot be read or is not TOML.
-
-    """
+    """Read the configuration of a map service, as `read_service`."""
     return _with_folder(read_toml(path)[1], path.parent)
 
 

@@ -55,13 +55,10 @@ def read_settings_document() -> Iterator[Setting]:
         elif found := _SUBSECTION.match(line):
             group = found[1].partition(",")[0]
         elif line.startswith("| `"):
-            key, default, unit, meaning, *_ = (cell.strip() for cell in _cells(line))
+            cells = line.strip().strip("|").split("|")
+            key, default, unit, meaning, *_ = map(str.strip, cells)
             texts = map(_plain, (default, unit, meaning))
             yield Setting(number, section, group, key.strip("`"), *texts)
-
-
-def _cells(line: str) -> list[str]:
-    return line.strip().strip("|").split("|")
 
 
 def _plain(text: str) -> str:

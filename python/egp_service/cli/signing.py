@@ -33,9 +33,7 @@ def new_signing_key() -> str:
 def public_line(key_file: Path) -> str:
     """Return the public key of a file with a private key, as the line of a service's file.
 
-    Raises:
-        EgpError: if the file holds no Ed25519 private key.
-
+    Errors if the file holds no Ed25519 private key.
     """
     return f"{_read_key(key_file).public_key().public_bytes_raw().hex()}\n"
 

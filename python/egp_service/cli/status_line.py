@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 from rich.cells import cell_len
 from rich.live import Live
@@ -21,26 +21,17 @@ BLOCKS = " ▁▂▃▄▅▆▇█"
 GAP = "  "
 
 
-class StatusLine:
+class StatusLine(Live):
     """A live line on a terminal; there is no output elsewhere."""
 
     def __init__(self, console: Console) -> None:
-        """Create a line on `console`."""
-        self._live = Live(console=console, refresh_per_second=10, transient=True)
-
-    def __enter__(self) -> Self:
-        """Show the line."""
-        self._live.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Remove the line."""
-        self._live.stop()
+        """Create a line on `console`, which is there within the context of this object."""
+        super().__init__(console=console, refresh_per_second=10, transient=True)
 
     def show(self, label: str, period: Period) -> None:
         """Show a period of the run called `label`; raise what a signal raised, if that was lost."""
         signals.check()
-        self._live.update(status_text(label, period, self._live.console.width))
+        self.update(status_text(label, period, self.console.width))
 
 
 def status_text(label: str, period: Period, columns: int) -> Text:

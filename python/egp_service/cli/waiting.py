@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import typer
 
-from egp_service.control.endpoints import why_unreachable
+from egp_service.control.endpoints import endpoint_names, why_unreachable
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -30,7 +30,7 @@ def waiting(
     def tell() -> None:
         if unless_reachable and not (endpoints and all(map(why_unreachable, endpoints))):
             return
-        where = ", ".join(endpoints) or "the endpoints of the zenoh file"
+        where = endpoint_names(endpoints)
         with suppress(OSError):  # the terminal may have gone
             typer.echo(f"waiting up to {seconds:g} s for {what} at {where}", err=True)
 

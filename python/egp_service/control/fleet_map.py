@@ -21,6 +21,7 @@ from egp_service.control.session import (
     session_config,
     zenoh_reason,
 )
+from egp_service.control.step import Closing
 
 if TYPE_CHECKING:
     import os
@@ -35,7 +36,7 @@ _EVENTS: Final = 64
 _log = logging.getLogger(__name__)
 
 
-class FleetMap:
+class FleetMap(Closing):
     """What the other vehicles of a fleet measured about one road; a context manager.
 
     `exchange` is called by the thread that uses the belief, once in each control period. It never
@@ -164,10 +165,6 @@ class FleetMap:
         self._check_open()
         return self
 
-    def __exit__(self, *_: object) -> None:
-        """Send the last evidence and close the session."""
-        self.close()
-
     def _check_open(self) -> None:
         if self._closed:
             raise EgpError("the fleet's map was closed: make another FleetMap")
@@ -195,13 +192,14 @@ class FleetMap:
 
         def deliver(reply: zenoh.Reply) -> None:
             if reply.ok is not None:
-                self._inbox.put(partial(self._replied, query.id, reply.ok.payload.to_bytes()))
+                answer = reply.ok.payload.to_bytes()
+                self._inbox.put(lambda: self._exchange.replied(time.monotonic(), query.id, answer))
             elif reply.err is not None:
                 error = reply.err.payload.to_bytes()
                 self._inbox.put(partial(self._exchange.refused, query.id, error))
 
         def ended() -> None:
-            self._inbox.put(partial(self._ended, query.id))
+            self._inbox.put(lambda: self._exchange.ended(time.monotonic(), query.id))
 
         try:
             self._session.get(
@@ -215,12 +213,6 @@ class FleetMap:
             )
         except zenoh.ZError:
             ended()
-
-    def _replied(self, query: int, answer: bytes) -> None:
-        self._exchange.replied(time.monotonic(), query, answer)
-
-    def _ended(self, query: int) -> None:
-        self._exchange.ended(time.monotonic(), query)
 
 
 def _changing(

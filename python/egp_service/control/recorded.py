@@ -107,12 +107,7 @@ _LONGEST_HORIZON: Final = 128
 
 
 def member_names(text: str) -> list[str]:
-    """Read the names of the members, a list in JSON.
-
-    Raises:
-        ValueError: for anything else.
-
-    """
+    """Read the names of the members, a list in JSON; `ValueError` for anything else."""
     try:
         names = json.loads(text)
     except RecursionError:
@@ -156,12 +151,7 @@ reads its text, and what this function expects."""
 
 
 def check_about(path: Path, about: Mapping[str, str], *keys: str) -> None:
-    """Check that the metadata `ABOUT` of a recording have these keys with usable values.
-
-    Raises:
-        RecordingError: naming the first key that is missing or has another value.
-
-    """
+    """Raise `RecordingError` unless the metadata `ABOUT` have these keys with usable values."""
     for key in keys:
         read, expected = _ABOUT[key]
         found = f"{key} is missing"
@@ -244,15 +234,7 @@ def _read(path: Path) -> Recorded:
 
 
 def write_requests(recorded: Recorded, file: BinaryIO) -> None:
-    """Write the requests as `egp-load --requests` reads them: each behind its length as a varint.
-
-    Raises:
-        RecordingError: if there are no requests.
-        OSError: if the file cannot be written.
-
-    """
-    if not recorded.steps:
-        raise RecordingError("no requests to write: expected a recording with at least one step")
+    """Write the requests for `egp-load --requests`, each behind its length as a varint."""
     file.writelines(_varint(len(step.request)) + step.request for step in recorded.steps)
 
 

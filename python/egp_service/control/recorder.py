@@ -14,7 +14,7 @@ from importlib.metadata import version
 from itertools import starmap
 from numbers import Real
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Final, Self, cast
+from typing import IO, TYPE_CHECKING, Final, cast
 
 import numpy as np
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
@@ -29,7 +29,7 @@ from mcap_protobuf.schema import register_schema
 
 from egp_service._core import InvalidArgumentError, vector_instructions
 from egp_service.control.messages import message_class
-from egp_service.control.step import Step, StepController, check_type
+from egp_service.control.step import Closing, Step, StepController, check_type
 from egp_service.control.step_record import measured_state, step_record
 from egp_service.control.toml_text import dumps
 from egp_service.files import replacing
@@ -51,7 +51,7 @@ ABOUT, SETTINGS, SCENARIO = "egp.about", "egp.settings", "egp.scenario"
 """Names of the metadata records."""
 
 
-class Recorder:
+class Recorder(Closing):
     """An open recording of a controller's steps; a context manager.
 
     It works with every controller, on a simulated and on a real vehicle::
@@ -122,7 +122,13 @@ class Recorder:
 
         """
         check_type("step", step, Step)
-        state = self._checked(x, time)
+        self._check_open_at(time)
+        if time < self._last:
+            raise InvalidArgumentError(
+                f"the time {time} s is before that of the last step, {self._last} s: use a clock "
+                "that does not run backward, such as `time.monotonic`"
+            )
+        state = measured_state(x)
         request, reply = message_class("StepRequest"), message_class("StepReply")
         replies = [*step.late, *([] if step.reply is None else [step.reply])]
         # What is written is made first, so that an exception leaves no part of a step.
@@ -136,16 +142,6 @@ class Recorder:
             self._steps += 1
             if self._steps % FLUSH_STEPS == 0:
                 self._flush()
-
-    def _checked(self, x: ArrayLike, time: float) -> NDArray[np.float64]:
-        """Return the state as an array; nothing of a step is written before all of it is valid."""
-        self._check_open_at(time)
-        if time < self._last:
-            raise InvalidArgumentError(
-                f"the time {time} s is before that of the last step, {self._last} s: use a clock "
-                "that does not run backward, such as `time.monotonic`"
-            )
-        return measured_state(x)
 
     def message(self, topic: str, message: Message, time: float) -> None:
         """Record a protobuf message on a topic of its own.
@@ -218,14 +214,6 @@ class Recorder:
         """Return the file and the number of steps in one line, and whether it was closed."""
         steps = f"{self._steps} step{'' if self._steps == 1 else 's'}"
         return f"<Recorder of {self._path}: {steps}{', closed' if self._file.closed else ''}>"
-
-    def __enter__(self) -> Self:
-        """Use as a context manager to complete the file at the end."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Complete the file, also after an error."""
-        self.close()
 
 
 class _File:

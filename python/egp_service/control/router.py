@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 import zenoh
 
@@ -16,13 +16,14 @@ from egp_service.control.session import (
     start_session,
     zenoh_reason,
 )
+from egp_service.control.step import Closing
 
 if TYPE_CHECKING:
     import os
     from collections.abc import Sequence
 
 
-class Router:
+class Router(Closing):
     """Pass questions, answers and announcements on between all who connect.
 
     It is a session of zenoh in router mode, which routes as `zenohd` does. It ends with `close` or
@@ -69,14 +70,6 @@ class Router:
     def close(self) -> None:
         """Close all links."""
         close_session(self._session)
-
-    def __enter__(self) -> Self:
-        """Return the router."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Close all links."""
-        self.close()
 
 
 def _check_mode(file: Path) -> None:

@@ -10,7 +10,7 @@ import math
 import secrets
 import time as clock
 from collections import deque
-from typing import TYPE_CHECKING, Final, Self
+from typing import TYPE_CHECKING, Final
 
 import zenoh
 
@@ -31,7 +31,7 @@ from egp_service.control.session import (
     session_config,
     zenoh_reason,
 )
-from egp_service.control.step import StepController, check_type
+from egp_service.control.step import Closing, StepController, check_type
 from egp_service.control.step_record import measured_state, step_record
 from egp_service.quantities import POSITION
 
@@ -51,7 +51,7 @@ _KEPT_TIMES: Final = 64
 _ENCODING: Final = "application/protobuf;egp.v1."
 
 
-class StatusPublisher:
+class StatusPublisher(Closing):
     """Publishes the steps of one vehicle for displays; a context manager.
 
     It works with every controller, in a session of its own::
@@ -199,11 +199,3 @@ class StatusPublisher:
             last.MergeFrom(message_class("VehicleStatus")(**counts, ended=True))
             self._publisher.put(last.SerializeToString())
         close_session(self._session)
-
-    def __enter__(self) -> Self:
-        """Use as a context manager to close at the end."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Close."""
-        self.close()

@@ -80,6 +80,22 @@ def _equal(one: object, other: object) -> bool:
     return type(one) is type(other) and one == other
 
 
+class Closing(ABC):
+    """A base of context managers whose block ends with `close`."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Release what the object holds."""
+
+    def __enter__(self) -> Self:
+        """Return the object itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close, also after an error."""
+        self.close()
+
+
 @dataclass(frozen=True, slots=True)
 class Timings:
     """The times within a step, s."""
@@ -194,7 +210,7 @@ class Step(EqualByValue):
         )
 
 
-class StepController(ABC):
+class StepController(Closing):
     """Computes commands for the actuators from measured states and references.
 
     Once in each control period::
@@ -348,14 +364,6 @@ class StepController(ABC):
         """Release the controller's resources; no step can follow."""
         self._closed = True
 
-    def __enter__(self) -> Self:
-        """Use as a context manager to close at the end."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Close."""
-        self.close()
-
 
 def check_type(name: str, value: object, expected: type) -> None:
     """Raise `TypeError` if the argument `name` has another type than the expected one."""
@@ -367,12 +375,7 @@ def check_type(name: str, value: object, expected: type) -> None:
 
 
 def as_dict(gate: Mapping[str, float]) -> dict[str, float]:
-    """Return the settings of a gate as the extension takes them.
-
-    Raises:
-        TypeError: if they are no mapping.
-
-    """
+    """Return the settings of a gate for the extension; raise `TypeError` if they are no mapping."""
     if not isinstance(gate, Mapping):
         raise TypeError(
             "gate: expected a mapping such as `VehicleParameters.gate_limits()`, got an object of "

@@ -19,12 +19,7 @@ if TYPE_CHECKING:
 
 
 def measured_state(x: ArrayLike) -> NDArray[np.float64]:
-    """Return a measured state as an array (7,).
-
-    Raises:
-        InvalidArgumentError: for another shape, or for what are no numbers.
-
-    """
+    """Return a measured state as an array (7,); `InvalidArgumentError` for anything else."""
     try:
         state = np.asarray(x, dtype=np.float64)
     except (TypeError, ValueError) as error:

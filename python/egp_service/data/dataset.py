@@ -147,6 +147,11 @@ class Dataset:
             tilt=None if self.tilt is None else self.tilt[rows],
         )
 
+    def relabelled(self, surface: str, friction: float) -> Dataset:
+        """Return the dataset under another name and nominal friction of the surface."""
+        origin = dataclasses.replace(self.provenance, surface=surface, friction=friction)
+        return dataclasses.replace(self, provenance=origin)
+
     def digest(self) -> str:
         """Return the SHA-256 hash of z, y, trajectory and step, independent of the file format."""
         sha = hashlib.sha256()
@@ -160,12 +165,7 @@ class Dataset:
         return sha.hexdigest()
 
     def write(self, path: str | Path) -> None:
-        """Write the file atomically.
-
-        Raises:
-            OSError: naming `path`, if the file cannot be written.
-
-        """
+        """Write the file atomically; `OSError` as for `replacing`."""
         units = GP_INPUT | GP_OUTPUT
         numbers = np.hstack([self.z, self.y])
         if self.tilt is not None:

@@ -10,8 +10,6 @@ import math
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Final, Protocol
 
-import numpy as np
-
 from egp_service._core import GRAVITY, EgpError, Plant, VehicleParameters, surface_friction
 from egp_service.data.provenance import Provenance
 from egp_service.quantities import DELTA, OMEGA, P_X, P_Y, PSI, V_X, V_Y
@@ -20,19 +18,13 @@ from egp_service.vehicle import simulated_name
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    import numpy as np
     from numpy.typing import NDArray
 
 SEEDS: Final = 1 << 63
 """Number of seeds, which are 0 and more; a recipe's file has no larger numbers."""
 # m, within 8 % of both CommonRoad cars; it is used for the excitation only.
 WHEELBASE: Final = 2.5
-
-
-def largest_acceleration(
-    v_x: NDArray[np.float64], vehicle: VehicleParameters
-) -> NDArray[np.float64]:
-    """Largest forward acceleration at speed `v_x`, m/s², by traction or engine power."""
-    return np.minimum(vehicle.a_max, vehicle.power / np.maximum(v_x, 1.0))
 
 
 def largest_demand(mu: float) -> float:
@@ -220,12 +212,7 @@ class OwnExperiment(Experiment):
     """Makes the simulator by its name; other processes import this function."""
 
     def simulated(self) -> SimulatedVehicle:
-        """Return a new simulator.
-
-        Raises:
-            EgpError: if it cannot be made.
-
-        """
+        """Return a new simulator; errors if it cannot be made."""
         return self.make(self.simulator)
 
     @property

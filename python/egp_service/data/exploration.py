@@ -68,12 +68,7 @@ class ExplorationSettings:
 def explore(
     experiment: Experiment, track: ExplorationTrack, settings: ExplorationSettings
 ) -> Dataset:
-    """Drive one run.
-
-    Raises:
-        EgpError: if every episode ended in its first periods.
-
-    """
+    """Drive one run; errors if every episode ended in its first periods."""
     rng = np.random.default_rng(experiment.seed)
     vehicle = experiment.simulated()
     z, y, trajectory, step = [], [], [], []

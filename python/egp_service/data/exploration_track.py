@@ -52,7 +52,6 @@ class ExplorationTrack:
         The speed profiles are those of `vehicle`, and `wheelbase` (m) gives the steering angle at
         the start.
         """
-        check_track(name)
         path = TRACKS[name](seed)
         self._path = _reversed(path) if reverse else path
         self._vehicle = vehicle

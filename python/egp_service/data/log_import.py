@@ -131,10 +131,6 @@ def import_log(
         raise EgpError(f"expected a positive --steering-ratio, got {steering_ratio:g}")
     if mass is not None and not 1.0 <= mass <= plausibility.HEAVIEST:
         raise EgpError(f"expected a --mass of 1 to {plausibility.HEAVIEST:g} kg, got {mass:g}")
-    if wheelbase is not None and not 0.0 < wheelbase < np.inf:
-        raise EgpError(f"expected a positive wheelbase in m, got {wheelbase:g}")
-    if front_share is not None and not 0.0 < front_share < 1.0:
-        raise EgpError(f"expected a share of the load between 0 and 1, got {front_share:g}")
     if front_share is not None and "a_x" not in columns:
         raise EgpError("no column is named for the accelerometer: add --column a_x=NAME:UNIT")
     if is_recording(path):

@@ -38,12 +38,7 @@ def is_recording(path: Path) -> bool:
 
 
 def check_folder(path: Path) -> None:
-    """Check that a path is a bag of ROS 2 if it is a folder.
-
-    Raises:
-        EgpError: if it is another folder.
-
-    """
+    """Raise `EgpError` for a folder that is no bag of ROS 2."""
     if path.is_dir() and not (path / _INDEX).is_file():
         raise EgpError(
             f"{path}: this folder is no bag of ROS 2, in which there is a file {_INDEX}: name the "
@@ -153,9 +148,7 @@ def _mcap(path: Path, stack: contextlib.ExitStack) -> Messages:
 def _content(path: Path) -> tuple[dict[int, Schema], dict[int, Channel], Counter[int]]:
     """Return what an MCAP file without index contains, with the number of each channel's messages.
 
-    Raises:
-        EgpError: if it is damaged.
-
+    A damaged file is an error.
     """
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}

@@ -35,12 +35,7 @@ _NUMBER: Final = (bool, int, float, np.number)
 
 
 def topics(path: str | Path) -> str:
-    """List the topics of a recording with their types, for messages.
-
-    Raises:
-        EgpError: if the recording cannot be read.
-
-    """
+    """List the topics of a recording with their types, for messages; errors as `open_recording`."""
     with open_recording(Path(path)) as messages:
         found = sorted(messages.topics.items())
     return ", ".join(f"{topic} ({kind})" for topic, (kind, _) in found)

@@ -18,7 +18,6 @@ from egp_service.data.experiment import (
     Experiment,
     SimulatedVehicle,
     check_range,
-    largest_acceleration,
     largest_demand,
 )
 from egp_service.quantities import DELTA, F_X, NY, NZ, OMEGA, V_X, V_Y
@@ -138,6 +137,7 @@ def _draw(
     zero = np.zeros(count)
     states = np.column_stack([zero, zero, v_x, zero, v_x * np.tan(sideslip), omega, delta])
     most = largest_demand(experiment.mu)
-    a = rng.uniform(max(car.a_min, -most), np.minimum(most, largest_acceleration(v_x, car)))
+    strongest = np.minimum(car.a_max, car.power / np.maximum(v_x, 1.0))
+    a = rng.uniform(max(car.a_min, -most), np.minimum(most, strongest))
     delta_dot = rng.uniform(-car.steering_rate, car.steering_rate, count)
     return states, np.column_stack([a, delta_dot])

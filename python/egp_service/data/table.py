@@ -60,7 +60,8 @@ def read_table(path: Path, separator: str = ",") -> pl.DataFrame:
         header = next((line for line in lines if line and line[0] != "#"), "")
         if separator not in header:
             separator = next((other for other in _SEPARATORS if other in header), separator)
-        columns = _header(header, separator)
+        # The names as they are written; polars changes one that comes twice.
+        columns = [name.strip() for name in next(csv.reader([header], delimiter=separator))]
         frame = pl.read_csv(
             content, separator=separator, comment_prefix="#", infer_schema_length=None
         )
@@ -78,11 +79,6 @@ def read_table(path: Path, separator: str = ",") -> pl.DataFrame:
         ]
     frame.columns = [name.strip() or name for name in names]
     return frame
-
-
-def _header(line: str, separator: str) -> list[str]:
-    """Return the names of the columns as they are written; polars changes one that comes twice."""
-    return [name.strip() for name in next(csv.reader([line], delimiter=separator))]
 
 
 def _check_fields(path: Path, lines: Sequence[str], expected: int, separator: str) -> None:

@@ -71,7 +71,7 @@ def write(path: Path, kind: str, source: Path, members: Sequence[int], vehicle: 
     with the range of all their training data.
 
     Raises:
-        EgpError: if the kind is unknown, or if a member has no vehicle.
+        EgpError: if a member has no vehicle.
 
     """
     library = Library.load(source)
@@ -79,7 +79,7 @@ def write(path: Path, kind: str, source: Path, members: Sequence[int], vehicle: 
     name, parameters = library.vehicle, library.parameters
     if kind == "fitted":
         alone = [_fitted(member) for member in chosen]
-    elif kind in KINDS:
+    else:
         if vehicle is not None:
             name, parameters = simulated_name(vehicle), VehicleParameters.commonroad(vehicle)
         known = parameters if vehicle is None else vehicle
@@ -94,8 +94,6 @@ def write(path: Path, kind: str, source: Path, members: Sequence[int], vehicle: 
             ]
         )
         alone = [_vehicle_alone(kind, NOMINAL_FRICTION, chosen[0], envelope, model)]
-    else:
-        raise EgpError(f"no baseline {kind!r}; known: {', '.join(KINDS)}")
     write_library(
         path,
         dt=library.dt,

@@ -20,9 +20,8 @@ from egp_service.evaluation.contenders import ENSEMBLE, make
 from egp_service.evaluation.departures import avoidable
 from egp_service.evaluation.disturbances import GENTLE
 from egp_service.evaluation.experiments import REPLAYED
-from egp_service.evaluation.file_names import file_name
 from egp_service.evaluation.settling import resolution, settling_times
-from egp_service.files import write_text
+from egp_service.files import file_name, write_text
 from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.course import build_path
 from egp_service.simulation.plant import source_file
@@ -85,15 +84,6 @@ class Outcome:
     """Median time of a step on the shared machine, ms."""
 
 
-@dataclass(frozen=True, slots=True)
-class Drive:
-    """A run to draw."""
-
-    condition: str
-    contender: str
-    run: Run
-
-
 class Campaign:
     """Trials with a folder for the contenders' libraries and the outcomes so far."""
 
@@ -118,7 +108,8 @@ class Campaign:
         self.of_another_build = not _marked(folder / "program.sha256", _build())
         """Whether outcomes so far may come from another build of this program."""
         self.of_another_plant = plant is not None and not _marked(
-            folder / f"{file_name(plant)}.sha256", _source_hash(plant)
+            folder / f"{file_name(plant)}.sha256",
+            _file_hash(source_file(plant)) or "without a file",
         )
         """Whether outcomes so far may come from another version of the simulator's file."""
         write_text(folder / VEHICLE_FILE, dumps(loaded.parameters.fields()))
@@ -148,19 +139,24 @@ class Campaign:
         *,
         jobs: int | None = None,
         cluster: str | None = None,
-    ) -> dict[str, list[Drive]]:
-        """Drive the runs to draw, by experiment.
+    ) -> dict[str, list[tuple[Trial, Run]]]:
+        """Drive the trials to draw, by experiment.
 
         These are the ensemble at every condition and the others at one condition, for the first
         seed.
         """
-        shown = [t for e in experiments for t in _shown(e)]
+        shown = [
+            trial
+            for experiment in experiments
+            for trial in experiment.trials([0])
+            if trial.contender.name == ENSEMBLE
+            or (trial.condition == experiment.compared and trial.contender.name in SHOWN_CONTENDERS)
+        ]
         with workers(jobs, cluster) as pool:
             runs = list(in_order(pool, drive_trial, [self._with_library(t) for t in shown]))
-        found: dict[str, list[Drive]] = {}
+        found: dict[str, list[tuple[Trial, Run]]] = {}
         for trial, run in zip(shown, runs, strict=True):
-            drive = Drive(trial.condition, trial.contender.name, run)
-            found.setdefault(trial.experiment, []).append(drive)
+            found.setdefault(trial.experiment, []).append((trial, run))
         return found
 
     def disturbed_library(self, name: str) -> Path:
@@ -175,9 +171,7 @@ class Campaign:
     def _source_of(self, trial: Trial) -> Path:
         """Return the library that the members of the trial's contender are taken from.
 
-        Raises:
-            EgpError: if the library is that of a disturbance and has not been trained.
-
+        That of a disturbance must have been trained.
         """
         if not trial.contender.disturbed:
             return self._source
@@ -224,15 +218,6 @@ def _marked(file: Path, identity: str) -> bool:
     return file.read_text(encoding="utf-8") == identity
 
 
-def _shown(experiment: ClosedLoopExperiment) -> list[Trial]:
-    return [
-        trial
-        for trial in experiment.trials([0])
-        if trial.contender.name == ENSEMBLE
-        or (trial.condition == experiment.compared and trial.contender.name in SHOWN_CONTENDERS)
-    ]
-
-
 def fingerprint(trial: Trial, library: str) -> str:
     """Hash everything on which a trial's outcome depends; `library` includes all settings."""
     track, vehicle = trial.scenario.track, _file_hash(trial.scenario.vehicle_file)
@@ -244,10 +229,6 @@ def fingerprint(trial: Trial, library: str) -> str:
 
 def _file_hash(path: str | Path | None) -> str | None:
     return None if path is None else hashlib.sha256(Path(path).read_bytes()).hexdigest()
-
-
-def _source_hash(plant: str) -> str:
-    return _file_hash(source_file(plant)) or "without a file"
 
 
 def _disturbed_id(path: Path) -> str:
@@ -311,6 +292,10 @@ def drive_trial(trial: Trial) -> Run:
 def _outcome(trial: Trial, run: Run) -> Outcome:
     summary = run.summary
     experiment, condition, contender, seed = trial.key
+    resolved = experiment == "friction-step" and contender == ENSEMBLE
+    avoided: bool | None = None
+    if experiment in REPLAYED:
+        avoided = avoidable(trial.contender, run, lambda: fleet_roads.reported(trial))
     return Outcome(
         experiment=experiment,
         condition=condition,
@@ -326,22 +311,12 @@ def _outcome(trial: Trial, run: Run) -> Outcome:
         speed_rms=summary.speed_error.rms,
         off_track=off_track(trial.scenario, run),
         settling=tuple(settling_times(run)),
-        resolution=resolution(run) if _is_resolved(trial) else None,
-        avoidable=_avoidable(trial, run),
+        resolution=resolution(run) if resolved else None,
+        avoidable=avoided,
         misses=summary.periods - summary.solver_statuses.get("solved", 0),
         late=int(np.sum(run.trace.step_time > run.dt)),
         step_ms=summary.step_time_ms["p50"],
     )
-
-
-def _avoidable(trial: Trial, run: Run) -> bool | None:
-    if trial.experiment not in REPLAYED:
-        return None
-    return avoidable(trial.contender, run, lambda: fleet_roads.reported(trial))
-
-
-def _is_resolved(trial: Trial) -> bool:
-    return trial.experiment == "friction-step" and trial.contender.name == ENSEMBLE
 
 
 def lap_times(scenario: Scenario, run: Run) -> tuple[float, ...]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 from egp_service.evaluation.contenders import ENSEMBLE, Contender
 from egp_service.evaluation.experiment import (
     CUSTOM_TRACK,
+    LAP_ZONES,
     NOISE,
     TWO,
     ClosedLoopExperiment,
@@ -52,8 +53,9 @@ _OWN_MEMBERS: Final = (0, 1)
 
 def experiment() -> ClosedLoopExperiment:
     """Return the experiment: each disturbance at 90 and 80 % of the grip, on three surfaces."""
-    zones = ((0.0, 0.5), (0.33, 1.1), (0.65, 0.8))
-    bases = {where: on_surfaces(CUSTOM_TRACK, zones, g) for where, g in (("", 0.9), (GENTLE, 0.8))}
+    bases = {
+        where: on_surfaces(CUSTOM_TRACK, LAP_ZONES, g) for where, g in (("", 0.9), (GENTLE, 0.8))
+    }
     return ClosedLoopExperiment(
         NAME,
         "Disturbances that a fitted vehicle cannot have (beyond the paper)",

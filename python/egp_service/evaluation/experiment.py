@@ -23,6 +23,8 @@ CUSTOM_TRACK: Final = Track(
     "rounded-rectangle",
     parameters={"length": 140.0, "width": 80.0, "radius": 20.0, "transition": 12.0},
 )
+LAP_ZONES: Final = ((0.0, 0.5), (0.33, 1.1), (0.65, 0.8))
+"""Starts and frictions of three surfaces on a lap of the custom track."""
 FASTEST: Final = 25.0
 _ZONE_JITTER: Final = 0.02  # largest shift of zones as a share of the path's length
 

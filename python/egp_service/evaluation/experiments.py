@@ -17,6 +17,7 @@ from egp_service.evaluation import disturbances, fleet_roads, hidden_ice, unknow
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE, PAPER_WEIGHTS, Contender
 from egp_service.evaluation.experiment import (
     CUSTOM_TRACK,
+    LAP_ZONES,
     M05,
     M06,
     M09,
@@ -43,9 +44,10 @@ REPLAYED: Final = (unknown_roads.FIRST, unknown_roads.LATER, fleet_roads.FLEET)
 # Suffix of conditions without measurement noise.
 EXACT: Final = ", exact sensors"
 HALF_WIDTH: Final = VehicleParameters.commonroad(1).width / 2  # m
+LABELS: Final = ("μ 0.5", "μ 0.6", "μ 0.9", "μ 1.1", "pooled")
 
 
-def contenders(members: Sequence[int], labels: Sequence[str]) -> tuple[Contender, ...]:
+def contenders(members: Sequence[int]) -> tuple[Contender, ...]:
     """Return the ensemble of `members` and its baselines."""
     return (
         Contender(ENSEMBLE, "ensemble", tuple(members)),
@@ -57,7 +59,7 @@ def contenders(members: Sequence[int], labels: Sequence[str]) -> tuple[Contender
             variant=True,
         ),
         Contender("selection", "selection", tuple(members)),
-        *(Contender(f"only {labels[m]}", "ensemble", (m,)) for m in members),
+        *(Contender(f"only {LABELS[m]}", "ensemble", (m,)) for m in members),
         Contender("pooled GP", "ensemble", (POOLED,)),
         Contender("nominal single-track", "single-track", tuple(members)),
         Contender("kinematic", "kinematic", tuple(members)),
@@ -65,14 +67,13 @@ def contenders(members: Sequence[int], labels: Sequence[str]) -> tuple[Contender
     )
 
 
-LABELS: Final = ("μ 0.5", "μ 0.6", "μ 0.9", "μ 1.1", "pooled")
 _ALL_OF_TWO: Final = (
-    *contenders(TWO, LABELS),
+    *contenders(TWO),
     Contender("constant mean", "ensemble", CONSTANT_MEAN, variant=True),
     Contender("fitted single-track", "fitted", TWO),
     Contender("forward Euler", "ensemble", TWO, {"operating": {"yaw_at": 0.0}}, variant=True),
 )
-_ALL_OF_FOUR: Final = contenders(FOUR, LABELS)
+_ALL_OF_FOUR: Final = contenders(FOUR)
 _AVOIDING: Final = {ENSEMBLE, "pooled GP", "nominal single-track", "kinematic", ORACLE}
 
 
@@ -82,13 +83,12 @@ def _steady(track: Track, zones: Sequence[tuple[float, float]], speed: float) ->
 
 
 def _varying_speed() -> ClosedLoopExperiment:
-    zones = ((0.0, 0.5), (0.33, 1.1), (0.65, 0.8))
     return ClosedLoopExperiment(
         "varying-speed",
         "Track with varying speed (paper, experiment 2)",
         "At which fraction of the grip does each controller begin to fail?",
         tuple(
-            (f"{grip:.0%} of grip", on_surfaces(CUSTOM_TRACK, zones, grip))
+            (f"{grip:.0%} of grip", on_surfaces(CUSTOM_TRACK, LAP_ZONES, grip))
             for grip in (0.80, 0.90, 0.95, 1.00)
         ),
         _ALL_OF_TWO,
@@ -259,7 +259,6 @@ def _friction_step() -> ClosedLoopExperiment:
 def _narrow_track(half_width: float = HALF_WIDTH) -> ClosedLoopExperiment:
     size = {**CUSTOM_TRACK.parameters, "track_width": 2.0 * (half_width + 0.4)}
     track = Track("rounded-rectangle", parameters=size)
-    zones = ((0.0, 0.5), (0.33, 1.1), (0.65, 0.8))
 
     def cautious(kappa: float) -> dict[str, object]:
         return {"soft": {"edge_margin": half_width, "caution": kappa}}
@@ -269,7 +268,8 @@ def _narrow_track(half_width: float = HALF_WIDTH) -> ClosedLoopExperiment:
         "A track with 0.4 m to each side of the car (beyond the paper)",
         "Do edges that are tightened by the plan's standard deviations keep the car on the track?",
         tuple(
-            (f"{grip:.0%} of grip", on_surfaces(track, zones, grip)) for grip in (0.9, 0.95, 1.0)
+            (f"{grip:.0%} of grip", on_surfaces(track, LAP_ZONES, grip))
+            for grip in (0.9, 0.95, 1.0)
         ),
         (
             Contender(ENSEMBLE, "ensemble", TWO, cautious(0.0)),
@@ -336,14 +336,16 @@ def on_plant(
     return replace(experiment, conditions=conditions)
 
 
-def on_track(experiment: ClosedLoopExperiment, file: Path, scale: float) -> ClosedLoopExperiment:
+def on_track(
+    experiment: ClosedLoopExperiment, file: Path, scale: float, *, closed: bool = True
+) -> ClosedLoopExperiment:
     """Return the experiment on a track from a CSV file with lengths multiplied by `scale`.
 
     Raises:
         EgpError: if the file is not a track, or no speed can be planned for it.
 
     """
-    track = Track("csv", str(file.resolve()), {"scale": scale})
+    track = Track("csv", str(file.resolve()), {"scale": scale}, None if closed else False)
     conditions = tuple(
         (f"{condition} on {file.stem}", replace(scenario, track=track))
         for condition, scenario in experiment.conditions

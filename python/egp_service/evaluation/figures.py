@@ -13,16 +13,14 @@ from egp_service.evaluation import unknown_roads
 from egp_service.evaluation.claims import POOLED
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
 from egp_service.evaluation.unknown_roads import BELIEF, HERE
-from egp_service.files import replacing
 from egp_service.quantities import MOTION_LABELS
-from egp_service.simulation.report import ALARM, INK, MEMBER_COLOURS, MUTED, STYLE
+from egp_service.simulation.report import ALARM, INK, MEMBER_COLOURS, MUTED, STYLE, save
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
     from egp_service.evaluation.campaign import Outcome
     from egp_service.evaluation.prediction import PredictionOutcome
@@ -98,7 +96,7 @@ def draw_risk(groups: Sequence[Group], path: Path) -> Path:
         ax.set_ylim(-0.35 * highest, 1.2 * highest)
         ax.set_yticks([tick for tick in ax.get_yticks() if 0.0 <= tick <= highest])
         _legend_beside(ax)
-        return _save(figure, path)
+        return save(figure, path)
 
 
 def _with_missing(source: str, groups: Sequence[Group]) -> str:
@@ -141,7 +139,7 @@ def draw_prediction(outcomes: Sequence[PredictionOutcome], path: Path) -> Path:
             axes[1, column].set_xticks(range(len(labels)), labels, fontsize=6.5, rotation=60)
         axes[0, 0].set_ylabel("RMS error (line: seeds)")
         axes[1, 0].set_ylabel("inside 95 % interval\n● eq. (3)  □ mixture")
-        return _save(figure, path)
+        return save(figure, path)
 
 
 def draw_completion(groups: Sequence[Group], path: Path) -> Path:
@@ -180,7 +178,7 @@ def draw_completion(groups: Sequence[Group], path: Path) -> Path:
         axes[1].xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
         axes[1].xaxis.set_minor_formatter(NullFormatter())
         _legend_beside(axes[1])
-        return _save(figure, path)
+        return save(figure, path)
 
 
 def draw_entry_speeds(medians: Mapping[tuple[str, str], Interval], path: Path) -> Path:
@@ -200,7 +198,7 @@ def draw_entry_speeds(medians: Mapping[tuple[str, str], Interval], path: Path) -
         ax.invert_yaxis()
         ax.set_xlabel("highest entry speed, m/s")
         _legend_beside(ax)
-        return _save(figure, path)
+        return save(figure, path)
 
 
 def draw_settling(outcomes: Sequence[Outcome], path: Path) -> Path:
@@ -213,17 +211,12 @@ def draw_settling(outcomes: Sequence[Outcome], path: Path) -> Path:
         figure, ax = plt.subplots(figsize=(9.0, 3.4))
         for number, name in enumerate(names):
             for place, condition in enumerate(conditions):
-                times = [
-                    t
-                    for o in runs
-                    if (o.contender, o.condition) == (name, condition)
-                    for t in o.settling
-                ]
+                own = [o for o in runs if (o.contender, o.condition) == (name, condition)]
+                times = [time for o in own for time in o.settling]
                 x = place + 0.42 * (number - 0.5 * (len(names) - 1))
                 ax.plot(np.full(len(times), x), times, ".", color=colour[name], alpha=0.5)
                 if times:
                     ax.plot(x, np.median(times), "_", ms=18, color=colour[name])
-                own = [o for o in runs if (o.contender, o.condition) == (name, condition)]
                 moved = sum(bool(o.settling) for o in own)
                 count = f"{moved}/{len(own)}"
                 ax.text(x, -0.14, count, ha="center", fontsize=7, color=colour[name])
@@ -240,7 +233,7 @@ def draw_settling(outcomes: Sequence[Outcome], path: Path) -> Path:
         )
         ax.set_ylabel("settling time, s")
         _legend_beside(ax)
-        return _save(figure, path)
+        return save(figure, path)
 
 
 def draw_scaling(times: Sequence[StepTime], path: Path) -> Path:
@@ -257,16 +250,9 @@ def draw_scaling(times: Sequence[StepTime], path: Path) -> Path:
         ax.set_xlabel("members")
         ax.set_ylabel("time of a control step, ms")
         _legend_beside(ax)
-        return _save(figure, path)
+        return save(figure, path)
 
 
 def _legend_beside(ax: Axes) -> None:
     """Place the legend to the right of the plot, where no curve is."""
     ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
-
-
-def _save(figure: Figure, path: Path) -> Path:
-    with replacing(path) as beside:
-        figure.savefig(beside)
-    plt.close(figure)
-    return path

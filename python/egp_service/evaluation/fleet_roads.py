@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from egp_service._core import FRICTION_HYPOTHESES, RoadBelief, merge_tiles
-from egp_service.evaluation.contenders import ORACLE, Contender, make
-from egp_service.evaluation.experiment import TWO, ClosedLoopExperiment, jittered, on_surfaces
-from egp_service.evaluation.unknown_roads import ENVELOPE
+from egp_service.evaluation.contenders import ORACLE, make
+from egp_service.evaluation.experiment import ClosedLoopExperiment
+from egp_service.evaluation.unknown_roads import DRAWN, ROADS, informed
 from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.course import build_path
-from egp_service.simulation.scenario import Track
 
 if TYPE_CHECKING:
     from egp_service._core import Path
@@ -48,22 +46,20 @@ _WRONG_SPREAD: Final = 0.05  # of the logarithm of the friction
 
 def first_lap_with_a_map() -> ClosedLoopExperiment:
     """Return the experiment: a first lap with different maps of the same road."""
-    base = on_surfaces(Track("random"), ((0.0, 1.0),), 0.9)
-    speed = {"knows": "nothing", "risk": _RISK}
     return ClosedLoopExperiment(
         FLEET,
         "Roads of unknown friction, first lap with a fleet's map (beyond the paper)",
         "Other cars have driven the same road before: how fast is a first lap with what they "
         "found, and what does a map cost that is wrong? The oracle is told all zones. Plans of all "
         "controllers stay within a lateral speed of 3 m/s.",
-        (("first lap", replace(base, leave_distance=3.5, control=ENVELOPE)),),
+        (("first lap", ROADS),),
         (
-            Contender(ORACLE, "ensemble", TWO),
-            *(Contender(name, "ensemble", TWO, speed=speed) for name in (ALONE, *_REPORTS)),
+            informed(ORACLE),
+            *(informed(name, knows="nothing", risk=_RISK) for name in (ALONE, *_REPORTS)),
         ),
         seeds=20,
         quick_seeds=1,
-        road=partial(jittered, frictions=(0.25, 1.1)),
+        road=DRAWN,
     )
 
 

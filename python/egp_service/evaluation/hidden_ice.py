@@ -21,7 +21,7 @@ from egp_service.evaluation.experiment import (
     ClosedLoopExperiment,
     on_surfaces,
 )
-from egp_service.evaluation.unknown_roads import BELIEF
+from egp_service.evaluation.unknown_roads import believing, informed
 from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.course import build_path
 from egp_service.simulation.scenario import Zone
@@ -100,17 +100,12 @@ def experiment() -> ClosedLoopExperiment:
         ),
         (
             Contender(ORACLE, "oracle", TWO),
-            *(
-                Contender(
-                    f"{BELIEF}{risk:.0%}", "ensemble", TWO, speed={"knows": "nothing", "risk": risk}
-                )
-                for risk in _RISKS
-            ),
-            Contender(
+            *(believing(risk) for risk in _RISKS),
+            informed(
                 f"friction alone, risk {_RISKS[0]:.0%}",
-                "ensemble",
-                TWO,
-                speed={"knows": "nothing", "risk": _RISKS[0], "tyres": False},
+                knows="nothing",
+                risk=_RISKS[0],
+                tyres=False,
             ),
         ),
         seeds=20,
@@ -133,7 +128,8 @@ def moved(scenario: Scenario) -> Scenario:
 def run(trial: Trial) -> IceOutcome:
     """Drive a trial."""
     path = build_path(trial.scenario)
-    middle = np.array([_middle(path, trial.scenario)])
+    _, start, end = (zone.start for zone in trial.scenario.zones)
+    middle = np.array([0.5 * (start + end) * path.length])
     believing = trial.scenario.speed.knows == "nothing"
     belief = RoadBelief(path)
     medians: list[float] = []
@@ -207,11 +203,6 @@ def _with_patch(path: Path, middle: float, length: float) -> Scenario:
 def _zones(path: Path, middle: float, length: float) -> tuple[Zone, ...]:
     start, end = ((middle + side * length) / path.length for side in (-0.5, 0.5))
     return Zone(0.0, _DRY), Zone(start, _ICE), Zone(end, _DRY)
-
-
-def _middle(path: Path, scenario: Scenario) -> float:
-    _, start, end = (zone.start for zone in scenario.zones)
-    return 0.5 * (start + end) * path.length
 
 
 def _places(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

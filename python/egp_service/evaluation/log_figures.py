@@ -88,11 +88,8 @@ def _draw_changes(
     x = np.linspace(-_OUTSIDE, _OUTSIDE, 200)
     residuals.plot(x, np.exp(-0.5 * x**2) / np.sqrt(2.0 * np.pi), color="0.4")
     residuals.set(xlabel="residual, standard deviations")
-    coverage.plot(_LEVELS, [np.mean(np.abs(residual) < _two_sided(level)) for level in _LEVELS])
+    # Half widths, in standard deviations, of the normal distribution's two-sided intervals.
+    half = ndtri(0.5 + 0.5 * _LEVELS)
+    coverage.plot(_LEVELS, [np.mean(np.abs(residual) < width) for width in half])
     coverage.plot([0, 1], [0, 1], color="0.6", lw=0.8)
     coverage.set(xlabel="nominal coverage", ylabel="share inside")
-
-
-def _two_sided(level: float) -> float:
-    """Half width, in standard deviations, of the normal distribution's interval of this level."""
-    return float(ndtri(0.5 + 0.5 * level))

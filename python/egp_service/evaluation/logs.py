@@ -17,10 +17,11 @@ from egp_service.data.channels import Channels, channels
 from egp_service.data.dataset import check_one_car
 from egp_service.evaluation.residual import Residual, fit_residual, moving_runs
 from egp_service.quantities import NORMAL_95, NY
-from egp_service.training.average_member import PriorMean, average_member
+from egp_service.training.average_member import average_member
 from egp_service.training.choice import hold_out
 from egp_service.training.delays import find_delays
 from egp_service.training.open_loop import LINEAR, Skill, linear, skill
+from egp_service.training.prior_mean import PriorMean
 from egp_service.training.threads import one_thread
 from egp_service.training.train import TrainingSettings, check_data, train_parts
 

@@ -13,7 +13,7 @@ import json
 import struct
 import time
 import warnings
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import cvxpy as cp
@@ -161,9 +161,9 @@ class Member:
 class Phases:
     """Seconds spent in each part of one step."""
 
-    weights: float = 0.0
-    linearise: float = 0.0
-    mpc: float = 0.0
+    weights: float
+    linearise: float
+    mpc: float
 
     @property
     def total(self) -> float:
@@ -178,21 +178,7 @@ class PaperStep:
     plan_x: Array
     plan_u: Array
     weights: Array
-    phases: Phases = field(default_factory=Phases)
-
-
-class Clock:
-    """Stopwatch on ``time.perf_counter``."""
-
-    def __init__(self) -> None:
-        """Start the first lap."""
-        self._last = time.perf_counter()
-
-    def lap(self) -> float:
-        """Seconds since the last lap."""
-        now = time.perf_counter()
-        self._last, elapsed = now, now - self._last
-        return elapsed
+    phases: Phases
 
 
 class Weights:
@@ -238,7 +224,7 @@ class PaperStack:
 
     def step(self, request: Request) -> PaperStep:
         """Compute one step from a request with a full window and a plan."""
-        phases, clock = Phases(), Clock()
+        begun = time.perf_counter()
         new = len(request.history_z) - len(request.history_f)
         rows = np.stack([member.mean(request.history_z[:new]) for member in self.members], axis=1)
         f = np.concatenate([rows, request.history_f])
@@ -250,10 +236,10 @@ class PaperStack:
             request.weights,
         )
         w = np.maximum(w, 0.0) / np.maximum(w, 0.0).sum()
-        phases.weights = clock.lap()
+        weighed = time.perf_counter()
         x, u = self._operating(request)
         dynamics = self._linearise(x, u, w)
-        phases.linearise = clock.lap()
+        linearised = time.perf_counter()
         reference = request.reference.copy()
         reference[:, PSI] = np.unwrap(np.concatenate([[request.x[PSI]], reference[:, PSI]]))[1:]
         edges = np.maximum(request.widths[1:] - self.margin, 0.0)
@@ -267,7 +253,8 @@ class PaperStack:
             operating=x,
             slip=float(w @ self.slips),
         )
-        phases.mpc = clock.lap()
+        planned = time.perf_counter()
+        phases = Phases(weighed - begun, linearised - weighed, planned - linearised)
         return PaperStep(plan_x, plan_u * [self.mass, 1.0], w, phases)
 
     def _operating(self, request: Request) -> tuple[Array, Array]:

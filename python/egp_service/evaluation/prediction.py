@@ -145,7 +145,8 @@ def _train(settings: PredictionSettings, seed: int) -> Library:
         seed=seed,
     )
     members = train(list(data.values()), plan)
-    both = [_relabelled(data[name]) for name in ("A", "D")]
+    middle = 0.5 * (SURFACES["A"] + SURFACES["D"])
+    both = [data[name].relabelled(POOLED, middle) for name in ("A", "D")]
     twice = dataclasses.replace(plan, max_points=2 * settings.transitions)
     members += train(both, twice)
     with tempfile.TemporaryDirectory() as folder:
@@ -163,13 +164,6 @@ def _sampled(friction: float, seed: int, count: int, label: str, *, keep: int) -
     """
     experiment = Experiment(friction=friction, label=label, seed=seed, dt=_DT)
     return sample(experiment, count, settle=_SETTLE + _KEEP - keep, keep=keep)
-
-
-def _relabelled(dataset: Dataset) -> Dataset:
-    """Name the surface as pooled, with a friction between those of the two surfaces."""
-    middle = 0.5 * (SURFACES["A"] + SURFACES["D"])
-    provenance = dataclasses.replace(dataset.provenance, surface=POOLED, friction=middle)
-    return dataclasses.replace(dataset, provenance=provenance)
 
 
 def _test_set(
@@ -209,7 +203,7 @@ def _score(
         tested_on=on,
         window=window,
         seed=seed,
-        rmse=_floats(np.sqrt(np.mean(error**2, axis=0))),
+        rmse=np.sqrt(np.mean(error**2, axis=0)).tolist(),
         coverage=_coverage(error, independent),
         coverage_mixture=_coverage(error, mixture),
         nlpd=_nlpd(error, independent),
@@ -253,13 +247,11 @@ def _weights(
 
 def _coverage(error: NDArray[np.float64], variance: NDArray[np.float64]) -> list[float]:
     inside = np.abs(error) <= NORMAL_95 * np.sqrt(variance)
-    return _floats(np.mean(inside, axis=0))
+    shares: list[float] = inside.mean(axis=0).tolist()
+    return shares
 
 
 def _nlpd(error: NDArray[np.float64], variance: NDArray[np.float64]) -> list[float]:
     density = 0.5 * (np.log(2.0 * np.pi * variance) + error**2 / variance)
-    return _floats(np.mean(density, axis=0))
-
-
-def _floats(values: NDArray[np.float64]) -> list[float]:
-    return [float(value) for value in values]
+    means: list[float] = density.mean(axis=0).tolist()
+    return means

@@ -47,28 +47,16 @@ class Residual:
 
     def settings(self) -> str:
         """Return the table `[residual]` of the control step's settings, in TOML."""
-        rows = {
-            "std": self.std,
-            "time": self.time,
-            "noise": self.noise,
-            "measurement": self.measurement,
-        }
-        lines = [f"{key} = [{', '.join(f'{v:.3g}' for v in row)}]" for key, row in rows.items()]
+        rows = dataclasses.asdict(self).items()
+        lines = [f"{key} = [{', '.join(f'{v:.3g}' for v in row)}]" for key, row in rows]
         return "\n".join(["[residual]", *lines])
 
     def predict(
         self, errors: NDArray[np.float64], dt: float
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Predict each of consecutive errors (n, 3) from those before; mean and variance (n, 3)."""
-        return predict_residual(
-            errors,
-            dt=dt,
-            window=max(1, round(WINDOW / dt)),
-            std=self.std,
-            time=self.time,
-            noise=self.noise,
-            measurement=self.measurement,
-        )
+        window = max(1, round(WINDOW / dt))
+        return predict_residual(errors, dt=dt, window=window, **dataclasses.asdict(self))
 
 
 def moving_runs(data: Dataset) -> tuple[Dataset, list[NDArray[np.intp]]]:

@@ -54,6 +54,7 @@ def measure(
     to 8 members from the decoded request to its plan if CVXPY and OSQP are installed.
     """
     times = []
+    installed = all(find_spec(package) for package in ("gpytorch", "cvxpy", "osqp"))
     with tempfile.TemporaryDirectory() as folder:
         for count in members:
             path = Path(folder) / f"{count}.safetensors"
@@ -61,14 +62,9 @@ def measure(
             requests = _record(path, scenario, periods)
             engine = Engine(str(path), dumps(scenario.control))
             times.append(_step_time(OURS, count, _ours(engine, requests)))
-            if count <= _PAPER_UP_TO and paper_installed():
+            if count <= _PAPER_UP_TO and installed:
                 times.append(_step_time(PAPER, count, _paper(path, engine, requests)))
     return times
-
-
-def paper_installed() -> bool:
-    """Whether the extras of the paper's stack are installed."""
-    return all(find_spec(package) for package in ("gpytorch", "cvxpy", "osqp"))
 
 
 def _ours(engine: Engine, requests: Sequence[bytes]) -> list[float]:

@@ -28,7 +28,6 @@ from egp_service.evaluation.experiments import (
     REPLAYED,
     VARIANTS,
 )
-from egp_service.evaluation.file_names import file_name
 from egp_service.evaluation.html import (
     Section,
     claim_table,
@@ -40,7 +39,7 @@ from egp_service.evaluation.html import (
 from egp_service.evaluation.prediction import SURFACES
 from egp_service.evaluation.scaling import PAPER
 from egp_service.evaluation.statistics import grouped, median
-from egp_service.files import write_text
+from egp_service.files import file_name, write_text
 from egp_service.simulation.report import draw_comparison, draw_errors, draw_weights
 
 if TYPE_CHECKING:
@@ -49,12 +48,14 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from egp_service.evaluation.campaign import Drive, Outcome
+    from egp_service.evaluation.campaign import Outcome
     from egp_service.evaluation.entry_speed import EntrySpeed
+    from egp_service.evaluation.experiment import Trial
     from egp_service.evaluation.hidden_ice import IceOutcome
     from egp_service.evaluation.prediction import PredictionOutcome
     from egp_service.evaluation.scaling import StepTime
     from egp_service.evaluation.statistics import Group, Interval
+    from egp_service.simulation.closed_loop import Run
 
 
 def write_report(
@@ -68,7 +69,7 @@ def write_report(
     speeds: Sequence[EntrySpeed],
     ice: Sequence[IceOutcome],
     times: Sequence[StepTime],
-    drives: dict[str, list[Drive]],
+    drives: dict[str, list[tuple[Trial, Run]]],
 ) -> Path:
     """Write report, figures and tables into `folder`.
 
@@ -184,7 +185,7 @@ def _section(
     name: str,
     groups: Sequence[Group],
     outcomes: Sequence[Outcome],
-    shown: Sequence[Drive],
+    shown: Sequence[tuple[Trial, Run]],
 ) -> Section:
     experiment = next(e for e in EXPERIMENTS if e.name == name)
     text = experiment.question
@@ -213,16 +214,18 @@ def _section(
     if name == "friction-step":
         pictures.append(figures.draw_settling(outcomes, folder / "settling.png"))
     if compared := [
-        (d.contender, d.run) for d in shown if d.condition.startswith(experiment.compared)
+        (trial.contender.name, run)
+        for trial, run in shown
+        if trial.condition.startswith(experiment.compared)
     ]:
         pictures.append(draw_comparison(compared, folder / f"{name}-drives.png"))
-    for drive in shown:
-        if drive.contender == ENSEMBLE:
-            at = f"{name}, {drive.condition}"
+    for trial, run in shown:
+        if trial.contender.name == ENSEMBLE:
+            at = f"{name}, {trial.condition}"
             place = folder / "drives" / file_name(at)
             pictures += [
-                draw_weights(drive.run, place.with_suffix(".weights.png"), at),
-                draw_errors(drive.run, place.with_suffix(".errors.png"), at),
+                draw_weights(run, place.with_suffix(".weights.png"), at),
+                draw_errors(run, place.with_suffix(".errors.png"), at),
             ]
     settling = [
         t for o in outcomes if o.experiment == name and o.contender == ENSEMBLE for t in o.settling

@@ -33,80 +33,72 @@ RISKS: Final = (0.03, 0.05, 0.1, 0.2)
 ENVELOPE: Final[dict[str, object]] = {"soft": {"envelope": [3.0, 3.0]}}
 
 
+# Random tracks, on which `DRAWN` gives each seed its zones, from ice to dry asphalt.
+ROADS: Final = replace(
+    on_surfaces(Track("random"), ((0.0, 1.0),), 0.9), leave_distance=3.5, control=ENVELOPE
+)
+DRAWN: Final = partial(jittered, frictions=(0.25, 1.1))
+
+
+def informed(name: str, **speed: object) -> Contender:
+    """Return the ensemble with a reference speed that has these fields of `Speed`."""
+    return Contender(name, "ensemble", TWO, speed=speed)
+
+
+def believing(risk: float) -> Contender:
+    """Return the ensemble with a reference speed for what the control steps found."""
+    return informed(f"{BELIEF}{risk:.0%}", knows="nothing", risk=risk)
+
+
 def first_lap() -> ClosedLoopExperiment:
     """Return the experiment of one lap, for all sources of the friction."""
-    base = on_surfaces(Track("random"), ((0.0, 1.0),), 0.9)
     return ClosedLoopExperiment(
         FIRST,
         "Roads of unknown friction, first lap (beyond the paper)",
         "The reference speed is not told the friction: what does each source of it cost in time, "
         "and how many laps end beside the road? The oracle is told all zones. Plans of all "
         "controllers stay within a lateral speed of 3 m/s.",
-        (("first lap", replace(base, leave_distance=3.5, control=ENVELOPE)),),
+        (("first lap", ROADS),),
         (
-            Contender(ORACLE, "ensemble", TWO),
+            informed(ORACLE),
+            *(believing(risk) for risk in RISKS),
             *(
-                Contender(f"{BELIEF}{risk:.0%}", "ensemble", TWO, speed=_believed(risk))
-                for risk in RISKS
-            ),
-            *(
-                Contender(
-                    f"{ASSUMED}{mu:g}",
-                    "ensemble",
-                    TWO,
-                    speed={"knows": "nothing", "friction": mu},
-                )
+                informed(f"{ASSUMED}{mu:g}", knows="nothing", friction=mu)
                 for mu in (0.3, 0.35, 0.4, 0.5, 0.6)
             ),
             *(
-                Contender(
+                informed(
                     f"{HERE}{share:.0%} of it, at most {most:g}",
-                    "ensemble",
-                    TWO,
-                    speed={"knows": "here", "friction": most, "grip": 0.9 * share},
+                    knows="here",
+                    friction=most,
+                    grip=0.9 * share,
                 )
                 for share, most in ((1.0, 1.1), (0.8, 1.1), (0.8, 0.5), (1.0, 0.4))
             ),
             *(
-                Contender(
-                    f"{WEIGHTED}{share:.0%} of it",
-                    "ensemble",
-                    TWO,
-                    speed={"knows": "weights", "grip": 0.9 * share},
-                )
+                informed(f"{WEIGHTED}{share:.0%} of it", knows="weights", grip=0.9 * share)
                 for share in (1.0, 0.8)
             ),
         ),
         seeds=30,
         quick_seeds=1,
-        road=partial(jittered, frictions=(0.25, 1.1)),
+        road=DRAWN,
     )
 
 
 def five_laps() -> ClosedLoopExperiment:
     """Return the experiment of five laps, for what the control steps found."""
-    base = on_surfaces(Track("random"), ((0.0, 1.0),), 0.9)
     return ClosedLoopExperiment(
         LATER,
         "Roads of unknown friction, five laps (beyond the paper)",
         "What the first lap found is remembered by place: how fast do the next laps become? Plans "
         "of all controllers stay within a lateral speed of 3 m/s.",
-        (("five laps", replace(base, leave_distance=3.5, laps=5.0, control=ENVELOPE)),),
-        (
-            Contender(ORACLE, "ensemble", TWO),
-            *(
-                Contender(f"{BELIEF}{risk:.0%}", "ensemble", TWO, speed=_believed(risk))
-                for risk in RISKS[:3]
-            ),
-        ),
+        (("five laps", replace(ROADS, laps=5.0)),),
+        (informed(ORACLE), *(believing(risk) for risk in RISKS[:3])),
         seeds=20,
         quick_seeds=1,
-        road=partial(jittered, frictions=(0.25, 1.1)),
+        road=DRAWN,
     )
-
-
-def _believed(risk: float) -> dict[str, object]:
-    return {"knows": "nothing", "risk": risk}
 
 
 def frontier_gap(outcomes: Sequence[Outcome], source: str) -> tuple[float, str] | None:

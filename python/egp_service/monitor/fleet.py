@@ -18,6 +18,8 @@ from egp_service.monitor.vehicle import MODES, Json, VehicleRecord
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
+    from google.protobuf.message import Message
+
 FORGET_SECONDS: Final = 600.0
 """Vehicles, and replicas without a token, that were not seen for this time leave the page."""
 _LOAD_SECONDS: Final = 1.25
@@ -108,14 +110,10 @@ class Fleet:
         """
         if len(payload) > LARGEST_STATUS:
             return
-        status = message_class("VehicleStatus")()
-        try:
-            status.ParseFromString(payload)
-        except DecodeError:
+        status = _decoded("VehicleStatus", payload)
+        if status is None or status.version != _VERSION:
             return
         status.DiscardUnknownFields()
-        if status.version != _VERSION:
-            return
         if not (math.isfinite(status.dt) and status.dt > 0.0 and status.step.mode in MODES):
             return
         lists = (status.step.weights, status.members, status.plan, status.times)
@@ -153,10 +151,8 @@ class Fleet:
 
         One of another version or of more than 25 000 points is ignored.
         """
-        road = message_class("VehicleRoad")()
-        try:
-            road.ParseFromString(payload)
-        except DecodeError:
+        road = _decoded("VehicleRoad", payload)
+        if road is None:
             return
         found = {name: getattr(road, name) for name in _ROAD}
         lengths = {len(column) for column in found.values()}
@@ -170,13 +166,9 @@ class Fleet:
 
     def load(self, name: str, payload: bytes, now: float) -> None:
         """Keep a replica's message `Load`."""
-        load = message_class("Load")()
-        try:
-            load.ParseFromString(payload)
-        except DecodeError:
-            return
-        replica = self._replica(name, now)
-        if replica is None:
+        load = _decoded("Load", payload)
+        replica = None if load is None else self._replica(name, now)
+        if load is None or replica is None:
             return
         if replica.loaded is not None:
             replica.interval = now - replica.loaded
@@ -253,6 +245,14 @@ class Fleet:
             for replica in self.replicas.values()
         ]
         return json.dumps({"now": round(now, 3), "vehicles": rows, "replicas": replicas})
+
+
+def _decoded(name: str, payload: bytes) -> Message | None:
+    """Return a message of this name, or None if the bytes are none."""
+    try:
+        return message_class(name).FromString(payload)
+    except DecodeError:
+        return None
 
 
 def _unseen(

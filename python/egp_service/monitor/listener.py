@@ -6,7 +6,7 @@ import logging
 import threading
 import time
 from functools import partial
-from typing import TYPE_CHECKING, Final, Self
+from typing import TYPE_CHECKING, Final
 
 import zenoh
 
@@ -28,6 +28,7 @@ from egp_service.control.session import (
     session_config,
     zenoh_reason,
 )
+from egp_service.control.step import Closing
 from egp_service.monitor.fleet import LARGEST_ROAD, LARGEST_STATUS
 
 if TYPE_CHECKING:
@@ -46,7 +47,7 @@ _EVENT: Final = 1 << 10
 _log = logging.getLogger(__name__)
 
 
-class Listener:
+class Listener(Closing):
     """Follows vehicles and replicas; a context manager."""
 
     def __init__(
@@ -105,14 +106,6 @@ class Listener:
     def close(self) -> None:
         """Close the session."""
         close_session(self._session)
-
-    def __enter__(self) -> Self:
-        """Use as a context manager to close at the end."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Close."""
-        self.close()
 
     def _put(self, event: Callable[[Fleet], None], size: int = 0) -> None:
         """Keep an event with a message of `size` bytes for `deliver`, if there is room."""

@@ -130,12 +130,7 @@ class _Headers:
 
 
 def bind(host: str, port: int) -> socket.socket:
-    """Listen on `host` and `port`, 0 being any free port.
-
-    Raises:
-        EgpError: if `host` is empty, or if listening fails.
-
-    """
+    """Listen on `host` and `port`, 0 being any free port; an empty host is an error."""
     if not host:
         raise EgpError(
             "the host of the page is empty: give --host an address of this machine, such as "

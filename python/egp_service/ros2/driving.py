@@ -165,13 +165,7 @@ class Vehicle:
         extrapolated to its time. If odometry comes about once in each control period, a period
         begins with its arrival. `silence` seconds without odometry are a stop, which lasts until
         the program is started again.
-
-        Raises:
-            InvalidArgumentError: for `seconds` that are not positive.
-
         """
-        if seconds is not None and not seconds > 0.0:
-            raise InvalidArgumentError(f"expected a positive number of seconds, got {seconds}")
         dt = self._controller.dt
         begun = last = time.monotonic()
         with ThreadPoolExecutor(max_workers=1) as reader:

@@ -80,12 +80,7 @@ def encode(message: object, name: str) -> bytes:
 
 
 def decode(data: bytes, name: str) -> Any:  # noqa: ANN401
-    """Read a message from CDR with its header of four bytes.
-
-    Raises:
-        MessageError: if the bytes are no message of the type.
-
-    """
+    """Read a message from CDR with its header of four bytes; `MessageError` if it is none."""
     if len(data) < 4 or data[0] != 0 or data[1] not in {0, 1}:  # noqa: PLR2004
         raise MessageError(
             f"{name}: expected CDR with the header 00 00 or 00 01, got {data[:4].hex(' ')!r}; "

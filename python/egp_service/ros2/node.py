@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final
 
 import zenoh
 
@@ -16,6 +16,7 @@ from egp_service.control.session import (
     session_config,
     zenoh_reason,
 )
+from egp_service.control.step import Closing
 from egp_service.ros2.messages import decode, encode
 from egp_service.ros2.rmw_zenoh import (
     Topic,
@@ -29,6 +30,8 @@ from egp_service.ros2.rmw_zenoh import (
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
+
+    from egp_service.ros2.rmw_zenoh import Kind
 
 _DEPTH: Final = 1  # messages that a topic keeps: the newest one
 _CONNECT_SECONDS: Final = 5.0
@@ -44,12 +47,7 @@ class Newest:
         self._newest: tuple[bytes, float] | None = None
 
     def take(self) -> tuple[Any, float] | None:
-        """Return the message and its time of arrival (monotonic, s), once.
-
-        Raises:
-            MessageError: if the message cannot be decoded.
-
-        """
+        """Return the message and its time of arrival (monotonic, s), once; errors as `decode`."""
         newest, self._newest = self._newest, None
         if newest is None:
             return None
@@ -62,7 +60,7 @@ class Newest:
         self._arrived.set()
 
 
-class Node:
+class Node(Closing):
     """A node of rmw_zenoh with publishers and subscriptions; it leaves the graph on `close`."""
 
     def __init__(
@@ -110,26 +108,16 @@ class Node:
         described = Topic(self._domain, topic, kind)
         newest = Newest(described, self.arrived)
         self._held.append(self._session.declare_subscriber(described.key, newest.put))
-        self._entities += 1
-        self._declare_token(
-            endpoint_token(
-                described, self._id, self._name, entity=self._entities, kind="MS", depth=_DEPTH
-            )
-        )
+        self._announce(described, "MS")
         return newest
 
     def publisher(self, topic: str, kind: str) -> Callable[[object], None]:
         """Return a function that publishes messages of a type on a topic."""
         described = Topic(self._domain, topic, kind)
-        self._entities += 1
-        token = endpoint_token(
-            described, self._id, self._name, entity=self._entities, kind="MP", depth=_DEPTH
-        )
-        self._declare_token(token)
+        identity = gid(self._announce(described, "MP"))
         publisher = self._session.declare_publisher(
             described.key, congestion_control=zenoh.CongestionControl.DROP
         )
-        identity = gid(token)
         sequence = 0
 
         def publish(message: object) -> None:
@@ -142,17 +130,18 @@ class Node:
 
         return publish
 
+    def _announce(self, topic: Topic, kind: Kind) -> str:
+        """Declare the token of a publisher or a subscription, and return it."""
+        self._entities += 1
+        token = endpoint_token(
+            topic, self._id, self._name, entity=self._entities, kind=kind, depth=_DEPTH
+        )
+        self._declare_token(token)
+        return token
+
     def _declare_token(self, token: str) -> None:
         self._held.append(self._session.liveliness().declare_token(token))
 
     def close(self) -> None:
         """Leave the graph and close the session."""
         close_session(self._session)
-
-    def __enter__(self) -> Self:
-        """Return the node."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Leave the graph."""
-        self.close()

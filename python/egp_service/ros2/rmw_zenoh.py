@@ -25,7 +25,6 @@ _ATTACHMENT: Final = struct.Struct("<qqB16s")
 # reliability:durability:history,depth:deadline:lifespan:liveliness, empty where it is the default
 # (reliable, volatile, keep last).
 _QOS: Final = "::,{depth}:,:,:,,"
-_LARGEST_DOMAIN: Final = 232
 
 Kind = Literal["MP", "MS"]
 
@@ -37,15 +36,9 @@ class Topic:
     domain: int
     """`ROS_DOMAIN_ID`, 0 to 232."""
     name: str
-    """Fully qualified name, such as `/localization/kinematic_state`."""
+    """Fully qualified name, such as `/localization/kinematic_state`; see `check_topic`."""
     type: str
     """Type, such as `nav_msgs/msg/Odometry`."""
-
-    def __post_init__(self) -> None:
-        """Raise `InvalidArgumentError` if domain or name are not those of ROS 2."""
-        if not 0 <= self.domain <= _LARGEST_DOMAIN:
-            raise InvalidArgumentError(f"domain {self.domain}: expected 0 to {_LARGEST_DOMAIN}")
-        check_topic(self.name)
 
     @property
     def dds_type(self) -> str:
@@ -60,12 +53,7 @@ class Topic:
 
 
 def check_topic(name: str) -> None:
-    """Check the name of a topic.
-
-    Raises:
-        InvalidArgumentError: for a name that is not fully qualified, or that ROS 2 does not allow.
-
-    """
+    """Raise `InvalidArgumentError` unless a topic may have the fully qualified name in ROS 2."""
     if not _TOPIC.fullmatch(name):
         raise InvalidArgumentError(
             f"topic {name!r}: expected a fully qualified name such as /vehicle/odometry"
@@ -73,12 +61,7 @@ def check_topic(name: str) -> None:
 
 
 def check_node(name: str) -> None:
-    """Check the name of a node.
-
-    Raises:
-        InvalidArgumentError: for a name that ROS 2 does not allow.
-
-    """
+    """Raise `InvalidArgumentError` unless a node may have the name in ROS 2."""
     if not _NODE.fullmatch(name):
         raise InvalidArgumentError(
             f"node {name!r}: expected letters, digits and underscores, such as egp_controller"

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from matplotlib import pyplot as plt
 
-from egp_service.files import replacing
-from egp_service.simulation.report import ALARM, FOUND, INK, MEMBER_COLOURS, MUTED, STYLE
+from egp_service.simulation.report import ALARM, FOUND, INK, MEMBER_COLOURS, MUTED, STYLE, save
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
 _QUANTILES = (("p50", "median", INK), ("p99", "99 %", FOUND), ("p999", "99.9 %", MEMBER_COLOURS[1]))
 
 
-def draw_load(report_file: Path, path: Path) -> Path:
+def draw_load(report_file: Path, path: Path) -> None:
     """Draw the share of requests in time and quantiles of the latency over the offered load.
 
     `report_file` is the JSON of `egp load --replay`. The knee, the most vehicles that held the
@@ -36,10 +35,7 @@ def draw_load(report_file: Path, path: Path) -> Path:
         if knee is not None:
             for ax in (share, latency):
                 ax.axvline(knee, color=MUTED, linewidth=0.9, linestyle="--")
-        with replacing(path) as beside:
-            figure.savefig(beside)
-        plt.close(figure)
-    return path
+        save(figure, path)
 
 
 def _knee(report: Mapping[str, Any]) -> tuple[str, float | None]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 from egp_service.control.messages import message_class
 from egp_service.control.recorder import SCENARIO, Recorder
@@ -11,7 +11,7 @@ from egp_service.quantities import STATE
 from egp_service.simulation.scene import road_scene
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
     from google.protobuf.message import Message
@@ -21,27 +21,24 @@ if TYPE_CHECKING:
     from egp_service.simulation.trace import Period
 
 
-class Recording:
-    """An open recording of a run; log times are seconds since its start."""
+@contextmanager
+def recording(
+    path: Path, scenario: Scenario, controller: StepController
+) -> Iterator[Callable[[Period], None]]:
+    """Record a run to `path`, which is readable at any time and complete at the end.
 
-    def __init__(self, recorder: Recorder) -> None:
-        """Record by an open recorder."""
-        self._recorder = recorder
+    Gives what to call with each period. Log times are seconds since the start of the run.
+    """
+    notes = {SCENARIO: {"name": scenario.name, "toml": scenario.toml()}}
+    with Recorder(path, controller, notes=notes) as recorder:
+        recorder.message("/scene", road_scene(scenario), 0.0)
 
-    @classmethod
-    @contextmanager
-    def create(cls, path: Path, scenario: Scenario, controller: StepController) -> Iterator[Self]:
-        """Record a run to `path`, which is readable at any time and complete at the end."""
-        notes = {SCENARIO: {"name": scenario.name, "toml": scenario.toml()}}
-        with Recorder(path, controller, notes=notes) as recorder:
-            recorder.message("/scene", road_scene(scenario), 0.0)
-            yield cls(recorder)
+        def add(period: Period) -> None:
+            time = period.truth.time
+            recorder.add(period.step, period.measured, time)
+            recorder.message("/plant", plant_truth(period), time)
 
-    def add(self, period: Period) -> None:
-        """Record one control period."""
-        truth = period.truth
-        self._recorder.add(period.step, period.measured, truth.time)
-        self._recorder.message("/plant", plant_truth(period), truth.time)
+        yield add
 
 
 def plant_truth(period: Period) -> Message:

@@ -35,11 +35,8 @@ class SpeedReference(ABC):
         Without `v` the profile begins with the largest speed.
         """
 
-    def road_friction(
-        self,
-        places: NDArray[np.float64],  # noqa: ARG002
-    ) -> NDArray[np.float64] | None:
-        """Return what is known about the road at `places` (n,), as rows for the control step."""
+    def road_friction(self, _places: NDArray[np.float64], /) -> NDArray[np.float64] | None:
+        """Return what is known about the road at places (n,), as rows for the control step."""
         return None
 
     def found(self, step: Step) -> None:  # noqa: B027 - most references learn nothing
@@ -74,8 +71,8 @@ class _Planned(SpeedReference):
         return self._planner.plan(s, friction, v), float(friction[0])
 
     @abstractmethod
-    def _friction(self, s: float, places: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the friction to plan for at the places."""
+    def _friction(self, s: float, places: NDArray[np.float64], /) -> NDArray[np.float64]:
+        """Return the friction to plan for at the places, of which `s` is the vehicle's."""
 
 
 class _Believed(_Planned):
@@ -93,10 +90,10 @@ class _Believed(_Planned):
         if step.held_up or step.status == "invalid_state":
             self._belief.leave()  # the window starts anew, and with it the places that it covers
 
-    def road_friction(self, places: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    def road_friction(self, places: NDArray[np.float64], /) -> NDArray[np.float64] | None:
         return self._belief.preview(places) if self._preview else None
 
-    def _friction(self, s: float, places: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _friction(self, s: float, places: NDArray[np.float64], /) -> NDArray[np.float64]:
         found = self._found
         self._belief.update(s, None if found is None else found.log_likelihood)
         return self._belief.ahead(places, self._risk)
@@ -110,7 +107,7 @@ class _Here(_Planned):
         self._path = path
         self._most = scenario.speed.friction or float("inf")
 
-    def _friction(self, s: float, places: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _friction(self, s: float, places: NDArray[np.float64], /) -> NDArray[np.float64]:
         return np.full_like(places, min(self._most, _friction_at(self._path, s)))
 
 
@@ -133,11 +130,7 @@ class _Weighted(_Planned):
         if step.weights.size:
             self._blended = float(step.weights @ self._frictions)
 
-    def _friction(
-        self,
-        s: float,  # noqa: ARG002
-        places: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
+    def _friction(self, _s: float, places: NDArray[np.float64], /) -> NDArray[np.float64]:
         return np.full_like(places, min(self._most, self._blended))
 
 
@@ -148,11 +141,7 @@ class _Assumed(_Planned):
         super().__init__(scenario, path)
         self._assumed = friction
 
-    def _friction(
-        self,
-        s: float,  # noqa: ARG002
-        places: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
+    def _friction(self, _s: float, places: NDArray[np.float64], /) -> NDArray[np.float64]:
         return np.full_like(places, self._assumed)
 
 
@@ -163,16 +152,12 @@ class _Told(_Planned):
         super().__init__(scenario, path)
         self._path = path
 
-    def _friction(
-        self,
-        s: float,  # noqa: ARG002
-        places: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
+    def _friction(self, _s: float, places: NDArray[np.float64], /) -> NDArray[np.float64]:
         step = places[1] - places[0]
         before, here, after = (self._path.sample(places + d)[-1] for d in (-step, 0.0, step))
         return np.minimum(np.minimum(before, here), after)
 
-    def road_friction(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
+    def road_friction(self, places: NDArray[np.float64], /) -> NDArray[np.float64]:
         # The weights are those of the friction under the vehicle, so that this is the one behind.
         friction = self._path.sample(np.concatenate((places[:1], places)))[-1]
         return np.column_stack((friction, np.zeros_like(friction)))

@@ -8,9 +8,8 @@ import numpy as np
 from matplotlib import pyplot as plt
 
 from egp_service.control.replay import MATTERS
-from egp_service.files import replacing
 from egp_service.quantities import F_X, POSITION
-from egp_service.simulation.report import ALARM, INK, MUTED, STYLE
+from egp_service.simulation.report import ALARM, INK, MUTED, STYLE, save
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
     from egp_service.control.replay import Replay
 
 
-def draw_replay(replay: Replay, change: str, path: Path) -> Path:
+def draw_replay(replay: Replay, change: str, path: Path) -> None:
     """Draw recorded and replayed commands over time, their difference, and where it matters."""
     with plt.style.context(STYLE):
         figure = plt.figure(figsize=(11.0, 6.4))
@@ -36,10 +35,7 @@ def draw_replay(replay: Replay, change: str, path: Path) -> Path:
             if first is not None:
                 ax.axvline(replay.time[first], color=ALARM, linewidth=0.9, linestyle="--")
         figure.suptitle(f"Replay with {change}", x=0.01, ha="left")
-        with replacing(path) as beside:
-            figure.savefig(beside)
-        plt.close(figure)
-    return path
+        save(figure, path)
 
 
 def _commands(force: Axes, rate: Axes, replay: Replay) -> None:

@@ -74,6 +74,14 @@ def check_picture(path: FilePath) -> None:
         )
 
 
+def save(figure: Figure, path: FilePath) -> FilePath:
+    """Write a figure within the context of `STYLE`, close it, and return its path."""
+    with replacing(path) as beside:
+        figure.savefig(beside)
+    plt.close(figure)
+    return path
+
+
 PICTURES: Final = ("track.png", "weights.png", "errors.png", "commands.png", "step-times.png")
 """Names of the pictures of a run."""
 
@@ -130,10 +138,7 @@ def draw_comparison(runs: Sequence[tuple[str, Run]], path: FilePath) -> FilePath
         ax.axhline(0.0, color=MUTED, linewidth=0.6)
         ax.set(xlabel="distance [m]", ylabel="beside the path [m]", title="Lateral error")
         _legend_above(ax, len(runs))
-        with replacing(path) as beside:
-            figure.savefig(beside)
-        plt.close(figure)
-    return path
+        return save(figure, path)
 
 
 _SHORTEST: Final = 1.0
@@ -387,7 +392,4 @@ def _save(
         figure = draw(run)
         if title:
             figure.suptitle(title, x=0.01, ha="left")
-        with replacing(path) as beside:
-            figure.savefig(beside)
-        plt.close(figure)
-    return path
+        return save(figure, path)

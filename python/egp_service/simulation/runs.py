@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from egp_service.files import write_text
 from egp_service.simulation.closed_loop import Run, drive
 from egp_service.simulation.layouts import write_layouts
-from egp_service.simulation.recording import Recording
+from egp_service.simulation.recording import recording
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -55,10 +55,10 @@ def record_run(
     """
     write_text(folder / "scenario.toml", scenario.toml())
     write_layouts(folder, len(controller.members))
-    with Recording.create(folder / "run.mcap", scenario, controller) as recording:
+    with recording(folder / "run.mcap", scenario, controller) as record:
 
         def both(period: Period) -> None:
-            recording.add(period)
+            record(period)
             observe(period)
 
         run = drive(scenario, controller, both, belief)

@@ -100,7 +100,7 @@ def row_of(period: Period) -> dict[str, object]:
 
     A step has 15 kB of messages and plan. The weights are `None` before the first reply.
     """
-    truth, step = period.truth, period.step
+    truth, step, found = period.truth, period.step, period.step.friction
     return {
         "time": truth.time,
         "x": truth.x,
@@ -111,16 +111,11 @@ def row_of(period: Period) -> dict[str, object]:
         "heading_error": truth.heading_error,
         "speed_error": truth.x[V_X] - truth.speed_reference,
         "friction_planned": truth.friction_planned,
-        "friction_found": _interval(step),
-        "misfit": step.friction.misfit if step.friction and step.friction.informed else np.nan,
+        "friction_found": (found.lower, found.upper) if found else (np.nan, np.nan),
+        "misfit": found.misfit if found and found.informed else np.nan,
         "weights": step.weights if step.weights.size else None,
         "step_time": step.timings.total,
         "mode": step.mode,
         "status": step.status,
         "detail": step.detail,
     }
-
-
-def _interval(step: Step) -> tuple[float, float]:
-    friction = step.friction
-    return (np.nan, np.nan) if friction is None else (friction.lower, friction.upper)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import torch
@@ -20,10 +20,9 @@ from egp_service.data.channels import MAD
 from egp_service.quantities import GP_OUTPUT, NORMAL_95, NY, NZ
 from egp_service.training.exact_member import START
 from egp_service.training.gaussian_process import Bounds, Hyperparameters, OutputProcess
-from egp_service.training.prior_mean import vehicle_change
 from egp_service.training.sparse import PosteriorMean, average_targets, fit_sparse
 from egp_service.training.subset import select
-from egp_service.training.trained import ScaledData, TrainedMember
+from egp_service.training.trained import Scaling, TrainedMember
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -32,6 +31,7 @@ if TYPE_CHECKING:
 
     from egp_service.data.dataset import Dataset
     from egp_service.training.kernel import KernelName
+    from egp_service.training.prior_mean import PriorMean
     from egp_service.training.train import TrainingSettings
 
 SMOOTH: Final = Bounds(noise=1e-3, lengthscale=0.5, outputscale=math.inf)
@@ -50,22 +50,6 @@ _OUTLIER: Final = 4.0  # robust standard deviations
 _ROUNDS: Final = 4
 _ALONE: Final = Hyperparameters((1.0,) * NZ, outputscale=1e-9, noise=1.0, constant=0.0)
 """A process that adds nothing to its mean."""
-
-
-class PriorMean(NamedTuple):
-    """What a member's processes are added to: one vehicle, or zero."""
-
-    single_track: NDArray[np.float64] | None = None
-    steps: int = 1
-    """Number of Euler steps in a period of the single-track vehicle."""
-    kinematic: NDArray[np.float64] | None = None
-    constant: bool = True
-    """Whether a constant is added, which is fitted to the data."""
-
-    def predict(self, z: NDArray[np.float64], dt: float) -> NDArray[np.float64]:
-        """Change (n, 3) at inputs (n, 6), without the constant."""
-        query = torch.from_numpy(z)
-        return vehicle_change(query, dt, self.single_track, self.steps, self.kinematic).numpy()
 
 
 def average_member(
@@ -97,8 +81,8 @@ def average_member(
         if not std > 0.0:
             raise EgpError(f"surface {data.provenance.surface}: {name} is predicted without error")
     target_mean = rest[moving].mean(axis=0) if mean.constant else np.zeros(NY)
-    scaled = ScaledData.of(data.z, rest, target_mean, target_std)
-    z, y = scaled.z, scaled.y
+    scaling = Scaling.of(data.z, target_mean, target_std)
+    z, y = scaling.inputs(data.z), scaling.targets(rest)
     widen = np.ones(NY) if widening is None else widening
     chosen, values = moving[:1], [_ALONE] * NY
     if report is not None:
@@ -117,14 +101,9 @@ def average_member(
         targets=mean.predict(data.z[chosen], data.provenance.dt)
         + target_mean
         + targets * target_std,
-        input_mean=scaled.input_mean,
-        input_std=scaled.input_std,
-        target_mean=scaled.target_mean,
-        target_std=scaled.target_std,
+        scaling=scaling,
         processes=tuple(process for process, _ in final),
-        single_track=mean.single_track,
-        steps=mean.steps,
-        kinematic=mean.kinematic,
+        mean=mean,
         vehicle=None,
     )
 

@@ -22,14 +22,10 @@ import numpy as np
 
 from egp_service._core import EgpError
 from egp_service.quantities import GP_INPUT, NY
-from egp_service.training.average_member import (
-    ITERATIONS,
-    PriorMean,
-    average_member,
-    widening_on,
-)
+from egp_service.training.average_member import ITERATIONS, average_member, widening_on
 from egp_service.training.exact_member import spread
 from egp_service.training.open_loop import NO_CHANGE, skill
+from egp_service.training.prior_mean import PriorMean
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

@@ -19,19 +19,18 @@ import torch
 
 from egp_service._core import EgpError
 from egp_service.quantities import GP_OUTPUT, NY, NZ
-from egp_service.training import prior_mean
 from egp_service.training.gaussian_process import (
     CORRECTIONS,
     WHOLE_CHANGES,
-    FitStep,
     Hyperparameters,
     OutputProcess,
     fit,
     share_kernel,
 )
+from egp_service.training.prior_mean import PriorMean
 from egp_service.training.sparse import average_targets
 from egp_service.training.subset import select, spikes
-from egp_service.training.trained import ScaledData, TrainedMember
+from egp_service.training.trained import Scaling, TrainedMember
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -61,13 +60,13 @@ def exact_member(
     """
     data, validation = part
     label = data.provenance.surface
-    vehicle, steps, rest, bounds = None, 1, data.y, WHOLE_CHANGES
+    mean, rest, bounds = PriorMean(), data.y, WHOLE_CHANGES
     if fitted is not None:
-        vehicle, steps = fitted.values, fitted.steps
-        rest = data.y - prior_mean.predict(data.z, vehicle, data.provenance.dt, steps)
+        mean = PriorMean(single_track=fitted.values, steps=fitted.steps)
+        rest = data.y - mean.predict(data.z, data.provenance.dt)
         bounds = CORRECTIONS
-    scaled = ScaledData.of(data.z, rest, rest.mean(axis=0), spread(rest, GP_OUTPUT, label))
-    z, y = scaled.z, scaled.y
+    scaling = Scaling.of(data.z, rest.mean(axis=0), spread(rest, GP_OUTPUT, label))
+    z, y = scaling.inputs(data.z), scaling.targets(rest)
 
     def fit_all(
         rows: NDArray[np.int64], starts: list[list[Hyperparameters]], done: int, stage: str
@@ -76,17 +75,19 @@ def exact_member(
             OutputProcess(z[rows], y[rows, j].contiguous(), settings.kernel, bounds)
             for j in range(NY)
         ]
-        together = [range(NY)] if vehicle is not None else [range(j, j + 1) for j in range(NY)]
+        together = [range(NY)] if fitted is not None else [range(j, j + 1) for j in range(NY)]
         for number, outputs in enumerate(together):
             group = [processes[j] for j in outputs]
             share_kernel(group)
             before = number * len(starts) * settings.max_iterations
             names = ", ".join(list(GP_OUTPUT)[j] for j in outputs)
 
-            def on_step(step: FitStep, before: int = before, names: str = names) -> None:
-                at = before + step.start * settings.max_iterations + step.iteration
+            def on_step(
+                start: int, iteration: int, loss: float, before: int = before, names: str = names
+            ) -> None:
+                at = before + start * settings.max_iterations + iteration
                 at = done + math.ceil(at / len(together))
-                report(f"{label}: {stage} fit of {names}", step.loss, at)
+                report(f"{label}: {stage} fit of {names}", loss, at)
 
             own = [[start[j] for j in outputs] for start in starts]
             fit(group, own, settings.max_iterations, on_step)
@@ -101,22 +102,17 @@ def exact_member(
     ]
     processes = fit_all(rows, starts, settings.max_iterations, "final")
     targets = data.y[rows]
-    if vehicle is not None:
-        known = targets - rest[rows] + scaled.target_mean
-        targets = known + scaled.target_std * _averaged(processes, z, y)
+    if fitted is not None:
+        known = targets - rest[rows] + scaling.target_mean
+        targets = known + scaling.target_std * _averaged(processes, z, y)
     return TrainedMember(
         dataset=data,
         validation=validation,
         inputs=data.z[rows],
         targets=targets,
-        input_mean=scaled.input_mean,
-        input_std=scaled.input_std,
-        target_mean=scaled.target_mean,
-        target_std=scaled.target_std,
+        scaling=scaling,
         processes=tuple(processes),
-        single_track=vehicle,
-        steps=steps,
-        kinematic=None,
+        mean=mean,
         vehicle=fitted,
     )
 

@@ -106,17 +106,17 @@ def _member(member: TrainedMember) -> MemberData:
     golden_z = _golden_points(member.inputs)
     golden_mean, golden_jacobian, golden_variance = member.predict(golden_z)
     values = [process.hyperparameters for process in member.processes]
-    fitted = member.single_track
+    scaling, fitted = member.scaling, member.mean.single_track
     return MemberData(
         label=member.dataset.provenance.surface,
         friction=member.dataset.provenance.friction,
         dataset=member.dataset.digest(),
         inputs=member.inputs,
         targets=member.targets,
-        input_mean=member.input_mean,
-        input_std=member.input_std,
-        target_mean=member.target_mean,
-        target_std=member.target_std,
+        input_mean=scaling.input_mean,
+        input_std=scaling.input_std,
+        target_mean=scaling.target_mean,
+        target_std=scaling.target_std,
         lengthscales=np.array([v.lengthscales for v in values]),
         outputscale=np.array([v.outputscale for v in values]),
         noise=np.array([v.noise for v in values]),
@@ -130,8 +130,8 @@ def _member(member: TrainedMember) -> MemberData:
         golden_variance=golden_variance,
         single_track=None if fitted is None else fitted[:SINGLE_TRACK],
         resistance=None if fitted is None or len(fitted) == SINGLE_TRACK else fitted[SINGLE_TRACK:],
-        kinematic=member.kinematic,
-        euler_steps=member.steps,
+        kinematic=member.mean.kinematic,
+        euler_steps=member.mean.steps,
     )
 
 

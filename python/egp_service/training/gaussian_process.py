@@ -178,15 +178,6 @@ class OutputProcess(gpytorch.models.ExactGP, GPyTorchModel):  # type: ignore[mis
         self.mean_module.constant = torch.tensor(inside.constant, dtype=torch.float64)
 
 
-@dataclasses.dataclass(frozen=True)
-class FitStep:
-    """Progress after an L-BFGS iteration."""
-
-    start: int
-    iteration: int
-    loss: float
-
-
 def share_kernel(processes: Sequence[OutputProcess]) -> None:
     """Replace the kernel and the likelihood of all processes by those of the first.
 
@@ -239,12 +230,13 @@ def fit(
     processes: Sequence[OutputProcess],
     starts: Sequence[Sequence[Hyperparameters]],
     max_iterations: int,
-    report: Callable[[FitStep], None],
+    report: Callable[[int, int, float], None],
 ) -> None:
     """Maximise the sum of the log marginal likelihoods by L-BFGS-B; keep the best start.
 
     The processes share inputs, kernel and noise; see `share_kernel`. A start consists of the
-    hyperparameters of each process.
+    hyperparameters of each process. After each iteration `report` gets the numbers of the start and
+    of its iteration, and the loss.
 
     Raises:
         EgpError: if no start ends at a finite loss.
@@ -267,7 +259,7 @@ def fit(
             def on_step(
                 _: dict[str, torch.Tensor], result: OptimizationResult, number: int = number
             ) -> None:
-                report(FitStep(number, result.step or 0, float(result.fval)))
+                report(number, result.step or 0, float(result.fval))
 
             once = _EachPointOnce(ForwardBackwardClosure(loss, parameters), parameters)
             result = fit_gpytorch_mll_scipy(

@@ -80,13 +80,10 @@ def distinct_surfaces(experiments: Sequence[Experiment]) -> list[Experiment]:
     Experiments of the same label and friction, which differ in their seeds, have the same surface.
 
     Raises:
-        EgpError: if there are no surfaces, two of them have the same friction coefficient, by which
-            their data are told apart, or they have different vehicles or disturbances, of which a
-            lap over all surfaces has one.
+        EgpError: if two surfaces have the same friction coefficient, by which their data are told
+            apart, or different vehicles or disturbances, of which a lap over all surfaces has one.
 
     """
-    if not experiments:
-        raise EgpError("no surfaces to drive on")
     first = experiments[0]
     for other in experiments:
         if (other.vehicle, other.disturbances) != (first.vehicle, first.disturbances):

@@ -148,16 +148,26 @@ def kinematic_change(z: torch.Tensor, parameters: torch.Tensor, dt: float) -> to
     return torch.stack([gain, l_r * after - v_y, after - omega], dim=-1)
 
 
-def vehicle_change(
-    z: torch.Tensor,
-    dt: float,
-    single_track: NDArray[np.float64] | None,
-    steps: int,
-    kinematic: NDArray[np.float64] | None,
-) -> torch.Tensor:
-    """Change (n, 3) by `change` or `kinematic_change`, whose parameters are given; zero without."""
-    if single_track is not None:
-        return change(z, z.new_tensor(single_track), dt, steps)
-    if kinematic is not None:
-        return kinematic_change(z, z.new_tensor(kinematic), dt)
-    return z.new_zeros((len(z), NY))
+class PriorMean(NamedTuple):
+    """What a member's processes are added to: one vehicle, or zero."""
+
+    single_track: NDArray[np.float64] | None = None
+    """Parameters (17,), or (19,) with a resistance, of a single-track vehicle."""
+    steps: int = 1
+    """Number of Euler steps in a period of the single-track vehicle."""
+    kinematic: NDArray[np.float64] | None = None
+    """Parameters (3,) of a kinematic vehicle."""
+    constant: bool = True
+    """Whether a constant is added, which is fitted to the data."""
+
+    def change(self, z: torch.Tensor, dt: float) -> torch.Tensor:
+        """Change (n, 3) at inputs (n, 6), without the constant."""
+        if self.single_track is not None:
+            return change(z, z.new_tensor(self.single_track), dt, self.steps)
+        if self.kinematic is not None:
+            return kinematic_change(z, z.new_tensor(self.kinematic), dt)
+        return z.new_zeros((len(z), NY))
+
+    def predict(self, z: NDArray[np.float64], dt: float) -> NDArray[np.float64]:
+        """Return `change` for an array."""
+        return self.change(torch.from_numpy(z), dt).numpy()

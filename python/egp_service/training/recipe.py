@@ -10,6 +10,7 @@ import dataclasses
 import json
 import platform
 import tempfile
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -100,25 +101,6 @@ def _check_surfaces(experiments: Sequence[Experiment]) -> None:
             )
 
 
-def collect_all(
-    recipe: Recipe,
-    *,
-    jobs: int | None = None,
-    cluster: str | None = None,
-    report: Callable[[str, int, int], None],
-) -> list[Dataset]:
-    """Collect every surface of the recipe, calling `report(label, done, total)` after each run."""
-    datasets = []
-    for experiment in recipe.experiments:
-
-        def on_run(done: int, total: int, label: str = experiment.label) -> None:
-            report(label, done, total)
-
-        settings = recipe.collection
-        datasets.append(collect(experiment, settings, jobs=jobs, cluster=cluster, report=on_run))
-    return datasets
-
-
 @dataclasses.dataclass(frozen=True)
 class Displays:
     """Progress displays of the stages; none by default."""
@@ -145,19 +127,22 @@ def follow(
     """
     show = displays or Displays()
     with show.collecting() as report:
-        datasets = collect_all(recipe, jobs=jobs, cluster=cluster, report=report)
+        datasets = [
+            collect(
+                experiment,
+                recipe.collection,
+                jobs=jobs,
+                cluster=cluster,
+                report=partial(report, experiment.label),
+            )
+            for experiment in recipe.experiments
+        ]
     with show.fitting() as report_fit:
         members = train(datasets, recipe.training, report_fit)
     for number in range(recipe.on_policy.rounds):
         with tempfile.TemporaryDirectory() as folder, show.collecting() as report:
             library = Path(folder) / "library.safetensors"
             export(library, members, recipe.training, training_provenance(recipe.training))
-
-            def on_lap(
-                done: int, total: int, report: Callable[[str, int, int], None] = report
-            ) -> None:
-                report("on-policy laps", done, total)
-
             datasets += drive_laps(
                 library,
                 recipe.experiments,
@@ -165,7 +150,7 @@ def follow(
                 number,
                 jobs=jobs,
                 cluster=cluster,
-                report=on_lap,
+                report=partial(report, "on-policy laps"),
             )
         with show.fitting() as report_fit:
             members = train(datasets, recipe.training, report_fit)

@@ -114,19 +114,32 @@ def average_targets(
 ) -> list[torch.Tensor]:
     """Targets (M,) at the inputs of each process that give it the mean of its approximation.
 
-    The processes share inputs, kernel and noise; `y` has the targets (n,) of each at z (n, 6). With
-    `alpha` such that a mean is `constant + k(z, Z) alpha`, the targets are
-    `constant + (K + s² I) alpha`.
+    The processes share inputs, kernel and noise; `y` has the targets (n,) of each at z (n, 6). A
+    mean is `constant + k(z, Z) alpha` with `alpha = L⁻ᵀ B⁻¹ A (y - m) / s²`, and the targets are
+    `constant + (K + s² I) alpha`. The sums over the transitions are computed block by block, so
+    that the memory does not grow with a log.
     """
     first = processes[0]
     with torch.no_grad(), exact():
-        weights = _weights(processes, z, y)
+        L, noise = _factor(first), first.likelihood.noise[0]
+        square = torch.zeros_like(L)
+        sums = [L.new_zeros(len(L), 1) for _ in processes]
+        for block in range(0, len(z), _BLOCK):
+            rows = slice(block, block + _BLOCK)
+            A = _whitened(first, L, z[rows])
+            square += A @ A.T / noise
+            for process, targets, total in zip(processes, y, sums, strict=True):
+                rest = targets[rows] - process.mean_module(z[rows])
+                total.add_((A @ rest)[:, None] / noise)
+        LB = _factor_of_one_and(square)
         K = first.covar_module(first.inputs).to_dense()
         K.diagonal().add_(first.likelihood.noise)
-        return [
-            process.mean_module(process.inputs) + K @ alpha
-            for process, alpha in zip(processes, weights, strict=True)
-        ]
+        found = []
+        for process, total in zip(processes, sums, strict=True):
+            inner = torch.cholesky_solve(total, LB)
+            alpha = torch.linalg.solve_triangular(L.T, inner, upper=True)[:, 0]
+            found.append(process.mean_module(process.inputs) + K @ alpha)
+    return found
 
 
 def _factor(process: OutputProcess) -> torch.Tensor:
@@ -171,26 +184,3 @@ def _bound(process: OutputProcess, z: torch.Tensor, y: torch.Tensor) -> torch.Te
         + square.trace()
     )
     return bound
-
-
-def _weights(
-    processes: Sequence[OutputProcess], z: torch.Tensor, y: Sequence[torch.Tensor]
-) -> list[torch.Tensor]:
-    """Weights alpha (M,) of the mean of each approximation, `constant + k(z, Z) alpha`.
-
-    They are `L⁻ᵀ B⁻¹ A (y - m) / s²`. The sums over the transitions are computed block by block, so
-    that the memory does not grow with a log.
-    """
-    L, noise = _factor(processes[0]), processes[0].likelihood.noise[0]
-    square = torch.zeros_like(L)
-    b = [L.new_zeros(len(L), 1) for _ in processes]
-    for block in range(0, len(z), _BLOCK):
-        rows = slice(block, block + _BLOCK)
-        A = _whitened(processes[0], L, z[rows])
-        square += A @ A.T / noise
-        for process, targets, total in zip(processes, y, b, strict=True):
-            rest = targets[rows] - process.mean_module(z[rows])
-            total.add_((A @ rest)[:, None] / noise)
-    LB = _factor_of_one_and(square)
-    inner = [torch.cholesky_solve(total, LB) for total in b]
-    return [torch.linalg.solve_triangular(L.T, each, upper=True)[:, 0] for each in inner]

@@ -128,12 +128,7 @@ class FitProgress:
 
 
 def split(dataset: Dataset, fraction: float, rng: np.random.Generator) -> tuple[Dataset, Dataset]:
-    """Split by trajectory into training and validation data.
-
-    Raises:
-        EgpError: if there are fewer than two trajectories.
-
-    """
+    """Split by trajectory, of which two are needed, into training and validation data."""
     trajectories = np.unique(dataset.trajectory)
     if len(trajectories) < 2:  # noqa: PLR2004
         raise EgpError(
@@ -245,11 +240,9 @@ def train_parts(
 
 
 def check_one_library(origins: Sequence[Provenance]) -> None:
-    """Check that data of these origins, of which there is at least one, make one library.
+    """Errors unless data of these origins, of which there is at least one, make one library.
 
-    Raises:
-        EgpError: if one label has two friction coefficients, or periods or vehicles differ.
-
+    One label has one friction coefficient, and all data have the same period and vehicle.
     """
     frictions: dict[str, float] = {}
     for origin in origins:

@@ -11,7 +11,6 @@ import torch
 
 from egp_service.quantities import NY, NZ
 from egp_service.training.gaussian_process import exact
-from egp_service.training.prior_mean import vehicle_change
 from egp_service.training.threads import one_thread
 
 if TYPE_CHECKING:
@@ -22,6 +21,7 @@ if TYPE_CHECKING:
     from egp_service.data.alignment import Delays
     from egp_service.data.dataset import Dataset
     from egp_service.training.gaussian_process import OutputProcess
+    from egp_service.training.prior_mean import PriorMean
     from egp_service.training.vehicle_fit import FittedVehicle
 
 # Inputs that GPyTorch predicts at once: it keeps a covariance of all of them with each other.
@@ -29,39 +29,36 @@ _BLOCK: Final = 1000
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class ScaledData:
-    """Inputs and targets of n transitions, less their means and over their standard deviations."""
+class Scaling:
+    """The means and standard deviations that z-score inputs and targets."""
 
-    z: torch.Tensor
-    """Z-scored inputs (n, 6) in float64."""
-    y: torch.Tensor
-    """Z-scored targets (n, 3), likewise."""
     input_mean: NDArray[np.float64]
-    """Mean (6,) of the inputs, SI units as in `quantities.GP_INPUT`."""
+    """Mean (6,) of the inputs of the training data, SI units as in `quantities.GP_INPUT`."""
     input_std: NDArray[np.float64]
     """Standard deviation (6,) of the same."""
     target_mean: NDArray[np.float64]
-    """Mean (3,) of the targets, SI units as in `quantities.GP_OUTPUT`."""
+    """Mean (3,) of the targets less the prior mean's prediction, as in `quantities.GP_OUTPUT`."""
     target_std: NDArray[np.float64]
     """Standard deviation (3,) of the same."""
 
     @staticmethod
     def of(
-        z: NDArray[np.float64],
-        targets: NDArray[np.float64],
-        target_mean: NDArray[np.float64],
-        target_std: NDArray[np.float64],
-    ) -> ScaledData:
-        """Scale inputs (n, 6) by their statistics, and targets (n, 3) by the given ones (3,)."""
-        mean, std = z.mean(axis=0), z.std(axis=0)
-        return ScaledData(
-            z=torch.tensor((z - mean) / std, dtype=torch.float64),
-            y=torch.tensor((targets - target_mean) / target_std, dtype=torch.float64),
-            input_mean=mean,
-            input_std=std,
-            target_mean=target_mean,
-            target_std=target_std,
-        )
+        z: NDArray[np.float64], target_mean: NDArray[np.float64], target_std: NDArray[np.float64]
+    ) -> Scaling:
+        """Scale inputs by the statistics of z (n, 6), and targets by the given ones."""
+        return Scaling(z.mean(axis=0), z.std(axis=0), target_mean, target_std)
+
+    def inputs(self, z: NDArray[np.float64]) -> torch.Tensor:
+        """Return z-scored inputs (n, 6) in float64."""
+        return torch.tensor((z - self.input_mean) / self.input_std, dtype=torch.float64)
+
+    def targets(self, y: NDArray[np.float64]) -> torch.Tensor:
+        """Return z-scored targets (n, 3) in float64."""
+        return torch.tensor((y - self.target_mean) / self.target_std, dtype=torch.float64)
+
+    def query(self, z: torch.Tensor) -> torch.Tensor:
+        """Return z-scored inputs (n, 6) with their derivatives."""
+        return (z - z.new_tensor(self.input_mean)) / z.new_tensor(self.input_std)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -77,23 +74,11 @@ class TrainedMember:
     targets: NDArray[np.float64]
     """Their targets (M, 3), SI units as in `quantities.GP_OUTPUT`: the transitions' changes, or
     averages over all transitions (`sparse.average_targets`)."""
-    input_mean: NDArray[np.float64]
-    """Mean (6,) of the inputs of the training data, units of the inputs."""
-    input_std: NDArray[np.float64]
-    """Standard deviation (6,) of the same."""
-    target_mean: NDArray[np.float64]
-    """Mean (3,) of the targets less the vehicle's prediction, units of the targets."""
-    target_std: NDArray[np.float64]
-    """Standard deviation (3,) of the same, units of the targets."""
+    scaling: Scaling
     processes: tuple[OutputProcess, ...]
     """Processes of the three outputs, with z-scored inputs and targets."""
-    single_track: NDArray[np.float64] | None
-    """Parameters (17,), or (19,) with a resistance, of the single-track vehicle that is the prior
-    mean, if any."""
-    steps: int
-    """Number of Euler steps in a period of the single-track vehicle."""
-    kinematic: NDArray[np.float64] | None
-    """Parameters (3,) of the kinematic vehicle that is the prior mean, if any."""
+    mean: PriorMean
+    """What the processes are added to."""
     vehicle: FittedVehicle | None
     """The fitted single-track vehicle with intervals of its parameters, if one was fitted."""
 
@@ -108,8 +93,8 @@ class TrainedMember:
         """Mean (n, 3) at z (n, 6), physical units."""
         with torch.no_grad():
             query = torch.tensor(z, dtype=torch.float64)
-            mean = self._vehicle_change(query)
-            scaled = (query - query.new_tensor(self.input_mean)) / query.new_tensor(self.input_std)
+            mean = self.mean.change(query, self.dataset.provenance.dt)
+            scaled = self.scaling.query(query)
             covariance: dict[torch.nn.Module, torch.Tensor] = {}
             for j, process in enumerate(self.processes):
                 kernel = process.covar_module
@@ -118,7 +103,7 @@ class TrainedMember:
                 f = process.mean_module(scaled) + covariance[kernel] @ query.new_tensor(
                     self.alpha[j]
                 )
-                mean[:, j] += f * self.target_std[j] + self.target_mean[j]
+                mean[:, j] += f * self.scaling.target_std[j] + self.scaling.target_mean[j]
         return np.asarray(mean.numpy())
 
     @functools.cached_property
@@ -138,12 +123,7 @@ class TrainedMember:
     def noise_variance(self) -> NDArray[np.float64]:
         """Variance (3,) of the noise of each output, in its units squared."""
         noise = [process.hyperparameters.noise for process in self.processes]
-        return np.asarray(np.array(noise) * self.target_std**2)
-
-    def _vehicle_change(self, z: torch.Tensor) -> torch.Tensor:
-        """Change (n, 3) that the prior mean's vehicle predicts at z (n, 6); zero without one."""
-        dt = self.dataset.provenance.dt
-        return vehicle_change(z, dt, self.single_track, self.steps, self.kinematic)
+        return np.asarray(np.array(noise) * self.scaling.target_std**2)
 
     def predict(
         self, z: NDArray[np.float64]
@@ -161,18 +141,19 @@ class TrainedMember:
         self, z: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         query = torch.tensor(z, dtype=torch.float64, requires_grad=True)
-        scaled = (query - query.new_tensor(self.input_mean)) / query.new_tensor(self.input_std)
+        scaled = self.scaling.query(query)
+        target_mean, target_std = self.scaling.target_mean, self.scaling.target_std
         mean, variance = np.empty((len(z), NY)), np.empty((len(z), NY))
         jacobian = np.empty((len(z), NY, NZ))
-        known = self._vehicle_change(query)
+        known = self.mean.change(query, self.dataset.provenance.dt)
         with exact():
             for j, process in enumerate(self.processes):
                 posterior = process.with_gpytorch_kernel()(scaled)
-                f = posterior.mean * self.target_std[j] + self.target_mean[j] + known[:, j]
+                f = posterior.mean * target_std[j] + target_mean[j] + known[:, j]
                 # Row i of the mean depends on row i of the query only, so one backward pass of
                 # the sum gives the gradients of all rows.
                 (gradient,) = torch.autograd.grad(f.sum(), query, retain_graph=True)
                 mean[:, j] = f.detach().numpy()
-                variance[:, j] = posterior.variance.detach().numpy() * self.target_std[j] ** 2
+                variance[:, j] = posterior.variance.detach().numpy() * target_std[j] ** 2
                 jacobian[:, j] = gradient.numpy()
         return mean, jacobian, variance

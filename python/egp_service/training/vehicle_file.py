@@ -50,10 +50,14 @@ _BY_HAND: Final = (
     "and if they are right, write the vehicle's file by hand (`egp train --help` lists its lines), "
     "and state it with --known"
 )
+_LIMITS: Final = (
+    *("a_min", "a_max", "power", "a_slew"),
+    *("steering_angle", "steering_rate", "steering_slew"),
+)
 _ORDER: Final = (
-    *("mass", "yaw_inertia", "l_f", "l_r", "width", "a_min", "a_max", "power", "a_slew"),
-    *("steering_angle", "steering_rate", "steering_slew", "peak_slip"),
-    *("lateral_grip", "braking_grip", "driving_grip"),
+    *("mass", "yaw_inertia", "l_f", "l_r", "width"),
+    *_LIMITS,
+    *("peak_slip", "lateral_grip", "braking_grip", "driving_grip"),
 )
 # Smallest values that a file states, for logs in which an actuator hardly moves.
 _LEAST: Final = {
@@ -180,11 +184,7 @@ def _limits(
 ) -> list[Line]:
     if known is not None:
         fields = known.fields()
-        names = (
-            *("a_min", "a_max", "power", "a_slew"),
-            *("steering_angle", "steering_rate", "steering_slew"),
-        )
-        lines = [Line(name, fields[name], "as was known") for name in names]
+        lines = [Line(name, fields[name], "as was known") for name in _LIMITS]
         own = Line("width", width or fields["width"], "stated" if width else "as was known")
         return [*lines, own]
     z = np.concatenate([data.z for data in surfaces])

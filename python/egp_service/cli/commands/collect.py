@@ -9,6 +9,7 @@ import typer
 from rich.console import Console
 
 from egp_service.cli.options import Cluster, Jobs, check_outputs, check_unused, check_writable
+from egp_service.cli.output import say
 
 if TYPE_CHECKING:
     from egp_service.data.dataset import Dataset
@@ -355,8 +356,7 @@ def _show_coverage(console: Console, dataset: "Dataset", label: str, picture: Pa
     from egp_service.data.coverage import Coverage
 
     covered = Coverage.of(dataset)
-    for line in covered.lines():
-        console.print(line, highlight=False)
+    say(console, *covered.lines())
     if picture is not None:
         from egp_service.data.coverage_figure import draw_coverage
 

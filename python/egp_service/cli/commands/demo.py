@@ -7,6 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
+from egp_service.cli.options import RunsFolder
+from egp_service.cli.output import say
+
 if TYPE_CHECKING:
     from egp_service.cli.demo import Lap
 
@@ -21,9 +24,7 @@ def demo(
             "shipped one. This takes minutes and requires the extra train.",
         ),
     ] = False,
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the runs.")] = Path(
-        "runs"
-    ),
+    output: RunsFolder = Path("runs"),
 ) -> None:
     """Drive laps over three surfaces of unknown friction.
 
@@ -57,9 +58,12 @@ def demo(
             for lap in laps:
                 draw_run(lap.run, lap.folder)
     _explain(console, laps)
-    console.print(f"Took {time.perf_counter() - start:.0f} s. Look at:", highlight=False)
-    for path in (overview, laps[0].folder / "weights.png", folder):
-        console.print(f"  {path}", markup=False, highlight=False)
+    pictures = (overview, laps[0].folder / "weights.png", folder)
+    say(
+        console,
+        f"Took {time.perf_counter() - start:.0f} s. Look at:",
+        *(f"  {path}" for path in pictures),
+    )
 
 
 def _trained(folder: Path) -> Path:

@@ -3,18 +3,17 @@
 import time
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 
-from egp_service.cli.options import check_writable, fleet_and_name
+from egp_service.cli.options import RunsFolder, check_writable, fleet_and_name
+from egp_service.cli.output import say
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-    from contextlib import AbstractContextManager
 
     from egp_service._core import RoadBelief
     from egp_service.control.step import StepController
@@ -93,9 +92,7 @@ def drive(
         str | None,
         typer.Option(help="Endpoint of a live page (`egp monitor`), such as tcp/127.0.0.1:7450."),
     ] = None,
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the runs.")] = Path(
-        "runs"
-    ),
+    output: RunsFolder = Path("runs"),
     pictures: Annotated[bool, typer.Option(help="Draw pictures at the end.")] = True,
 ) -> None:
     """Drive a simulated car; results go to runs/<time>-<scenario>/.
@@ -132,30 +129,24 @@ def drive(
     _warn(console, chosen, seed)
     belief = load_belief(chosen, road)
     if road is not None:
-        console.print(_road_age(road), markup=False, highlight=False)
-    fleet_name, name = fleet_and_name(vehicle)
+        say(console, _road_age(road))
     with (
         _fleet_map(console, chosen, belief, fleet, vehicle, zenoh) as exchange,
-        _started(
+        _controller(
             chosen,
             scenario,
-            partial(
-                _controller,
-                chosen,
-                in_process=in_process,
-                connect=connect,
-                vehicle=vehicle,
-                zenoh=zenoh,
-                key=key,
-                traces=traces,
-            ),
+            in_process=in_process,
+            connect=connect,
+            vehicle=vehicle,
+            zenoh=zenoh,
+            key=key,
+            traces=traces,
         ) as controller,
         publication(
             chosen,
             controller,
             monitor,
-            fleet=fleet_name,
-            vehicle=name,
+            vehicle=vehicle,
             zenoh_file=zenoh,
             console=console,
         ) as publish,
@@ -202,14 +193,14 @@ def _chosen(name: str, library: Path | None, plant: str | None, seed: int | None
     if library is not None:
         chosen = replace(chosen, library=str(library.absolute()))
     if plant is not None:
-        chosen = replace(chosen, plant=plant)
+        chosen = replace(chosen, plant=plant, plant_folder=None)
     if seed is not None:
         check_seed(seed, "--seed")
         chosen = replace(chosen, seed=seed)
     check_scenario(chosen, name)
     check_told(chosen, name)
     if chosen.plant is not None:
-        load_simulator(chosen.plant)
+        load_simulator(chosen.plant, chosen.plant_folder)
     build_profile(chosen, build_path(chosen, name))
     return chosen
 
@@ -236,30 +227,13 @@ def _warn(console: Console, scenario: "Scenario", seed: int | None) -> None:
     )
     for warning in (narrow_place(scenario), tight_place(scenario), unused):
         if warning is not None:
-            console.print(warning, markup=False, highlight=False)
+            say(console, warning)
 
 
 @contextmanager
-def _started(
-    scenario: "Scenario",
-    origin: str,
-    start: "Callable[[], AbstractContextManager[StepController]]",
-) -> "Iterator[StepController]":
-    """Give the controller; an error of its gate names where the scenario comes from."""
-    from egp_service._core import EgpError
-
-    with ExitStack() as stack:
-        try:
-            controller = stack.enter_context(start())
-        except EgpError as error:
-            if scenario.gate and "gate" in str(error):
-                error.add_note(f"in [gate] of {origin}")
-            raise
-        yield controller
-
-
 def _controller(
     scenario: "Scenario",
+    origin: str,
     *,
     in_process: bool,
     connect: str | None,
@@ -267,26 +241,35 @@ def _controller(
     zenoh: Path | None,
     key: Path | None,
     traces: Path | None,
-) -> "AbstractContextManager[StepController]":
+) -> "Iterator[StepController]":
+    """Give the controller; an error of its gate names where the scenario comes from."""
+    from egp_service._core import EgpError
     from egp_service.cli.backends import remote_controller, service_controller
     from egp_service.simulation.in_process import in_process_controller
 
-    if in_process or (connect is None and zenoh is None):
+    alone = connect is None and zenoh is None
+    if in_process or alone:
         for option, value in (("--key", key), ("--traces", traces)):
             if value is not None:
                 where = "with --in-process" if in_process else "without --connect or --zenoh"
                 raise typer.BadParameter(f"{option} has no use {where}")
-        return in_process_controller(scenario) if in_process else service_controller(scenario)
-    fleet, name = fleet_and_name(vehicle)
-    return remote_controller(
-        scenario,
-        connect,
-        fleet=fleet,
-        vehicle=name,
-        zenoh_file=zenoh,
-        key_file=key,
-        traces=traces,
-    )
+    controller: StepController
+    with ExitStack() as stack:
+        try:
+            if in_process:
+                controller = stack.enter_context(in_process_controller(scenario))
+            elif alone:
+                controller = stack.enter_context(service_controller(scenario))
+            else:
+                remote = remote_controller(
+                    scenario, connect, vehicle, zenoh_file=zenoh, key_file=key, traces=traces
+                )
+                controller = stack.enter_context(remote)
+        except EgpError as error:
+            if scenario.gate and "gate" in str(error):
+                error.add_note(f"in [gate] of {origin}")
+            raise
+        yield controller
 
 
 def _check_use(
@@ -313,15 +296,12 @@ def _check_use(
 
 def _show_differences(console: Console, scenario: "Scenario", controller: "StepController") -> None:
     """Say what a service that was not started here has in place of the scenario's."""
-    texts = []
     if controller.library_file is None:
         own = controller.library.hex()[:12]
-        texts.append(f"The service has library {own}…, not the scenario's ({scenario.library}).")
+        say(console, f"The service has library {own}…, not the scenario's ({scenario.library}).")
     if scenario.control:
         names = ", ".join(scenario.control)
-        texts.append(f"The service has its own settings, not the scenario's [control]: {names}.")
-    for text in texts:
-        console.print(text, markup=False, highlight=False)
+        say(console, f"The service has its own settings, not the scenario's [control]: {names}.")
 
 
 def _show(console: Console, summary: "Summary") -> None:
@@ -330,7 +310,7 @@ def _show(console: Console, summary: "Summary") -> None:
     console.print(summary_table([(summary.scenario, summary)]))
     for text in (why_ended(summary), no_plan(summary), misfit(summary)):
         if text is not None:
-            console.print(text, markup=False, highlight=False)
+            say(console, text)
 
 
 @contextmanager

@@ -1,5 +1,6 @@
 """`egp evaluate`."""
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -7,6 +8,7 @@ import typer
 from rich.console import Console
 
 from egp_service.cli.options import Cluster, Jobs, check_unused
+from egp_service.cli.output import say
 from egp_service.shipped import EVALUATION_LIBRARY
 
 if TYPE_CHECKING:
@@ -47,6 +49,9 @@ def evaluate(
     scale: Annotated[
         float, typer.Option(help="Scale of the track's lengths; 10 for tracks of 1:10 cars.")
     ] = 1.0,
+    closed: Annotated[
+        bool, typer.Option("--closed/--open", help="Whether the track's end joins its start.")
+    ] = True,
     plant: Annotated[
         str | None,
         typer.Option(
@@ -103,21 +108,27 @@ def evaluate(
     """
     console = Console()
     if log:
-        _on_logs(console, log, vehicle, output, {
+        of_drives = {
             "--full": full, "--quick": quick, "--experiment": experiment, "--library": library,
             "--train": train, "--track": track, "--scale": scale != 1.0, "--plant": plant,
-            "--jobs": jobs, "--cluster": cluster,
-        })  # fmt: skip
+            "--open": not closed, "--jobs": jobs, "--cluster": cluster,
+        }  # fmt: skip
+        reason = "cannot be used with --log, which drives nothing: leave out either"
+        check_unused(of_drives, reason)
+        with console.status("Loading ..."):
+            from egp_service.cli.logs import evaluate_on
+
+        evaluate_on(console, log, vehicle, output)
         return
     with console.status("Loading ..."):
         from egp_service.cli.evaluation_parts import run
 
     chosen = _chosen(experiment)
-    _check_options(track, scale, vehicle, chosen, {
+    _check_options(track, vehicle, chosen, {"--scale": scale != 1.0, "--open": not closed}, {
         "--full and --quick": full and quick, "--train and --library": train and library,
         "--jobs and --cluster": jobs and cluster,
     })  # fmt: skip
-    selection = _selection(console, chosen, track, scale, full=full)
+    selection = _selection(console, chosen, track, scale, closed=closed, full=full)
     if plant is not None:
         selection = _on_plant(console, selection, plant, experiment, library, output)
     source = _train(console, output, jobs, cluster) if train else library or EVALUATION_LIBRARY
@@ -128,35 +139,32 @@ def evaluate(
 
 
 def _selection(
-    console: Console, chosen: list[str], track: Path | None, scale: float, *, full: bool
+    console: Console,
+    chosen: list[str],
+    track: Path | None,
+    scale: float,
+    *,
+    closed: bool,
+    full: bool,
 ) -> "Selection":
-    """Give what is evaluated.
-
-    Raises:
-        EgpError: if nothing of what was chosen is run without --full.
-
-    """
+    """Give what is evaluated; errors if nothing of what was chosen is run without --full."""
     from egp_service._core import EgpError
     from egp_service.cli.evaluation_parts import Selection
-    from egp_service.evaluation import disturbances
-    from egp_service.evaluation.experiments import (
-        EXPERIMENTS,
-        HIDDEN_ICE,
-        OBSTACLE_AVOIDANCE,
-        on_track,
-    )
+    from egp_service.evaluation import disturbances, experiments
 
-    driven = [
-        on_track(e, track, scale) if track and e.name == "unseen-track" else e
-        for e in EXPERIMENTS
-        if e.name in chosen and (full or e.quick_seeds)
-    ]
+    every = experiments.EXPERIMENTS
+    driven = [e for e in every if e.name in chosen and (full or e.quick_seeds)]
+    if track:
+        on_track = partial(experiments.on_track, file=track, scale=scale, closed=closed)
+        driven = [on_track(e) if e.name == "unseen-track" else e for e in driven]
     if disturbances.NAME in chosen and not full:
         told = "disturbances trains six libraries and is driven with --full only"
         if set(chosen) == {disturbances.NAME}:
             raise EgpError(f"{told}: add --full")
         console.print(f"{told}.")
-    apart = [e for e in (OBSTACLE_AVOIDANCE, HIDDEN_ICE) if e.name in chosen]
+    apart = [
+        e for e in (experiments.OBSTACLE_AVOIDANCE, experiments.HIDDEN_ICE) if e.name in chosen
+    ]
     return Selection(full, chosen, driven, apart)
 
 
@@ -172,7 +180,7 @@ def _with_members(console: Console, selection: "Selection", source: Path) -> "Se
     found = {c.name for e in kept for c in e.contenders}
     missing = dict.fromkeys(c.name for e in every for c in e.contenders if c.name not in found)
     if missing:
-        _tell(console, f"Left out, as {source} lacks their members: {', '.join(missing)}.")
+        say(console, f"Left out, as {source} lacks their members: {', '.join(missing)}.")
     count = len(selection.driven)
     return replace(selection, driven=kept[:count], apart=kept[count:])
 
@@ -197,7 +205,7 @@ def _campaign(
     ):
         if other:
             kept = f"{output} contains runs of another {what}, which are kept."
-            _tell(console, kept, f"Choose another --output to drive all runs with this {what}.")
+            say(console, kept, f"Choose another --output to drive all runs with this {what}.")
     if disturbances.NAME in {e.name for e in selection.driven}:
         _train_disturbed(console, campaign, jobs, cluster)
     return campaign
@@ -241,38 +249,14 @@ def _write(
         )
     if rows := headline(results["runs"]):
         console.print(headline_table(HEADLINE, rows))
-    _tell(console, *why_lost([*results["runs"], *ice]), f"Look at {report}")
-
-
-def _tell(console: Console, *lines: str) -> None:
-    console.print(*lines, sep="\n", markup=False, highlight=False)
-
-
-def _on_logs(
-    console: Console,
-    logs: list[Path],
-    vehicle: Path | None,
-    output: Path,
-    of_drives: "Mapping[str, object]",
-) -> None:
-    """Evaluate on logs.
-
-    Raises:
-        EgpError: if an option of drives has a value.
-
-    """
-    check_unused(of_drives, "cannot be used with --log, which drives nothing: leave out either")
-    with console.status("Loading ..."):
-        from egp_service.cli.logs import evaluate_on
-
-    evaluate_on(console, logs, vehicle, output)
+    say(console, *why_lost([*results["runs"], *ice]), f"Look at {report}")
 
 
 def _check_options(
     track: Path | None,
-    scale: float,
     vehicle: Path | None,
     chosen: list[str],
+    of_track: "Mapping[str, object]",
     both: "Mapping[str, object]",
 ) -> None:
     from egp_service._core import EgpError
@@ -284,8 +268,9 @@ def _check_options(
             raise EgpError(f"{names} exclude each other: give one of them")
     if track and "unseen-track" not in chosen:
         raise EgpError("--track is used by unseen-track: add -e unseen-track")
-    if scale != 1.0 and not track:
-        raise EgpError("--scale requires --track: give both")
+    for name, given in of_track.items():
+        if given and not track:
+            raise EgpError(f"{name} requires --track: give both")
 
 
 def _on_plant(
@@ -322,14 +307,14 @@ def _on_plant(
     vehicle, file = used.parameters, output.absolute() / VEHICLE_FILE
     if library is None:
         told = f"Gate, speeds and baselines are those of {used.vehicle}, {vehicle.mass:g} kg"
-        _tell(console, f"{told}. If {plant} is another vehicle, state its library with --library.")
+        say(console, f"{told}. If {plant} is another vehicle, state its library with --library.")
     driven = []
     for experiment in (e for e in selection.driven if e.name != disturbances.NAME):
         own = on_plant(experiment, plant, vehicle, file)
         kept = {name for name, _ in own.conditions}
         if left := [name for name, _ in experiment.conditions if name not in kept]:
             told = f"{experiment.name} without the conditions that {plant} does not see: "
-            _tell(console, told + ", ".join(left))
+            say(console, told + ", ".join(left))
         driven.append(own)
     apart = [on_plant(e, plant, vehicle, file) for e in selection.apart]
     return replace(selection, driven=driven, apart=apart)
@@ -350,7 +335,7 @@ def _chosen(experiment: list[str] | None) -> list[str]:
 def _train(console: Console, output: Path, jobs: int | None, cluster: str | None) -> Path:
     from egp_service._core import EgpError
     from egp_service.cli.progress import collecting, fitting
-    from egp_service.evaluation.library import make, write
+    from egp_service.evaluation.library import make
     from egp_service.training.recipe import Displays
 
     path = output / "library.safetensors"
@@ -362,7 +347,7 @@ def _train(console: Console, output: Path, jobs: int | None, cluster: str | None
             )
         output.mkdir(parents=True, exist_ok=True)
         displays = Displays(lambda: collecting(console), lambda: fitting(console))
-        write(path, make(displays, jobs=jobs, cluster=cluster))
+        make(path, displays, jobs=jobs, cluster=cluster)
     return path
 
 
@@ -371,15 +356,15 @@ def _train_disturbed(
 ) -> None:
     from egp_service.cli.progress import collecting, fitting
     from egp_service.evaluation.disturbances import DISTURBED
-    from egp_service.evaluation.disturbed_library import train
+    from egp_service.evaluation.library import make_disturbed
     from egp_service.training.recipe import Displays
 
     displays = Displays(lambda: collecting(console), lambda: fitting(console))
     for name, disturbances in DISTURBED.items():
         path = campaign.disturbed_library(name)
         if not path.exists():
-            console.print(f"Training the library of a vehicle with: {name}", highlight=False)
-            train(path, disturbances, displays, jobs=jobs, cluster=cluster)
+            say(console, f"Training the library of a vehicle with: {name}")
+            make_disturbed(path, disturbances, displays, jobs=jobs, cluster=cluster)
 
 
 def _step_times(

@@ -1,10 +1,13 @@
 """`egp keys`."""
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.console import Console
+
+from egp_service.cli.output import say
 
 
 def keys(
@@ -58,10 +61,7 @@ def keys(
     from egp_service.cli.credentials import write_credentials
 
     console = Console(soft_wrap=True)
-
-    def report(text: str) -> None:
-        console.print(text, markup=False, highlight=False)
-
+    report = partial(say, console)
     new = write_credentials(folder, fleet, vehicle, hosts=host, port=port, days=days, report=report)
     renewed = [name for own in dict.fromkeys(vehicle) if (name := f"{fleet}/{own}") not in new]
     console.print(f"New vehicles: {', '.join(new) or 'none'}")
@@ -69,7 +69,7 @@ def keys(
         report(f"Renewed vehicles, with a new .json5 file each: {', '.join(renewed)}")
     shown = (new or renewed)[0]
     own = folder / "vehicles" / shown.replace("/", "@")
-    console.print(
+    report(
         f"""
 Service, in the file of `egp serve --config`:
   vehicle_keys = "{folder / "vehicles.keys"}"
@@ -81,7 +81,5 @@ Vehicle, for instance:
   egp drive --vehicle {shown} --zenoh {own}.json5 --key {own}.keys
 Live page, and a router if there is one:
   egp monitor --zenoh {folder / "monitor.json5"}
-  egp router --zenoh {folder / "router.json5"}""",
-        markup=False,
-        highlight=False,
+  egp router --zenoh {folder / "router.json5"}"""
     )

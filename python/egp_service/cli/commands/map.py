@@ -60,7 +60,7 @@ def keep_map(
       egp drive -s random --fleet tcp/127.0.0.1:7448 --vehicle car-1
       egp drive -s random --fleet tcp/127.0.0.1:7448 --vehicle car-2    (faster)
     """
-    from egp_service._core import serve_map
+    from egp_service._core import check_map, serve_map
     from egp_service.cli.settings_file import naming, read_map
     from egp_service.control.toml_text import dumps
 
@@ -81,17 +81,10 @@ def keep_map(
     with naming(config):
         if config is not None:
             given = read_map(config)
-        if check:
-            _check(dumps(given))
-        else:
+        if not check:
             serve_map(dumps(given))
-
-
-def _check(configuration: str) -> None:
-    """Check a configuration, and print what was found."""
-    from egp_service._core import check_map
-
-    warning = check_map(configuration)
-    typer.echo("Configuration and network settings are valid.")
-    if warning is not None:
-        typer.echo(f"egp: {warning}", err=True)
+            return
+        warning = check_map(dumps(given))
+        typer.echo("Configuration and network settings are valid.")
+        if warning is not None:
+            typer.echo(f"egp: {warning}", err=True)

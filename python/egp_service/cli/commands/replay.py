@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
-from egp_service.cli.options import check_unused, recording_file
+from egp_service.cli.options import Recording, check_unused, recording_file
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -17,12 +17,7 @@ DIFFERENT = 4
 
 
 def replay(
-    recording: Annotated[
-        Path,
-        typer.Argument(
-            help="A run.mcap of `egp drive` or `Recorder`, or its folder.", show_default=False
-        ),
-    ],
+    recording: Recording,
     library: Annotated[
         Path | None, typer.Option("--library", "-l", help="Library in place of the recorded one.")
     ] = None,
@@ -100,11 +95,9 @@ def _default_picture(recording: Path, library: Path | None, settings: Path | Non
 
 
 def _check_output(output: Path, recording: Path) -> None:
-    """Check the picture's name before the time that the replay takes; this makes no folder.
+    """Errors unless a picture may have this name; this makes no folder.
 
-    Raises:
-        EgpError: unless a picture can have this name, or if it is one of the recorded run.
-
+    It is checked before the time that the replay takes.
     """
     from egp_service._core import EgpError
     from egp_service.simulation.report import PICTURES, check_picture

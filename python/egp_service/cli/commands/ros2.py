@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
+from egp_service.cli.output import say
 from egp_service.control.endpoints import ROS_ROUTER_ENDPOINT
 from egp_service.shipped import DEMO_LIBRARY
 
@@ -152,9 +153,9 @@ def ros2(
     where = f"at the endpoints of {zenoh}" if router is None else router
     check_endpoints([] if router is None else [router])
     if router is not None and (reason := why_unreachable(router)):
-        console.print(
+        say(
+            console,
             f"No program listens at {router} ({reason}); waiting for rmw_zenoh's router there",
-            highlight=False,
         )
     with (
         _controller(library, settings, car, connect, name, key, service_zenoh) as controller,
@@ -208,7 +209,7 @@ def _controller(
     key: Path | None,
     zenoh: Path | None,
 ) -> "StepController":
-    from egp_service.cli.options import check_unused, fleet_and_name
+    from egp_service.cli.options import check_unused
     from egp_service.cli.settings_file import read_settings
     from egp_service.control.controller import Controller
 
@@ -219,22 +220,9 @@ def _controller(
         return Controller(library, stated, gate=car.gate_limits())
     if settings is not None:
         raise typer.BadParameter("--settings belongs to the service: egp serve --settings")
-    from egp_service.cli.backends import CONNECT_SECONDS
-    from egp_service.cli.waiting import waiting
-    from egp_service.control.client import VehicleClient
+    from egp_service.cli.backends import connected
 
-    fleet, vehicle = fleet_and_name(name)
-    endpoints = [] if connect is None else [connect]
-    with waiting("a service", endpoints, CONNECT_SECONDS):
-        return VehicleClient.connect(
-            endpoints,
-            fleet=fleet,
-            vehicle=vehicle,
-            gate=car.gate_limits(),
-            timeout=CONNECT_SECONDS,
-            key_file=key,
-            zenoh_file=zenoh,
-        )
+    return connected(connect, car.gate_limits(), name, zenoh_file=zenoh, key_file=key)
 
 
 def _write_settings(file: Path, dt: float) -> None:

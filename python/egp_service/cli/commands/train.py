@@ -7,6 +7,7 @@ import typer
 from rich.console import Console
 
 from egp_service.cli.options import Cluster, check_outputs, check_unused, check_writable
+from egp_service.cli.output import say
 from egp_service.training.kernel import KernelName
 
 if TYPE_CHECKING:
@@ -168,12 +169,7 @@ def _settings(
     validation: float,
     seed: int,
 ) -> "TrainingSettings":
-    """Give the settings that the options state.
-
-    Raises:
-        EgpError: for a value out of its range.
-
-    """
+    """Give the settings that the options state; a value out of its range is an error."""
     from egp_service._core import EgpError
     from egp_service.training.train import TrainingSettings
 
@@ -210,7 +206,7 @@ def _show(
     )
     from egp_service.training.validation import member_skill
 
-    console.print(delay_sentence(members[0].delays), highlight=False)
+    say(console, delay_sentence(members[0].delays))
     simulated = members[0].delays is None
     warnings = calibration_warnings(matrix, simulated=simulated)
     for member in members:
@@ -220,13 +216,12 @@ def _show(
             warnings += prior_warnings(label, found, simulated=simulated)
     console.print(validation_table(matrix))
     for warning in warnings:
-        console.print(warning, style="yellow", markup=False, highlight=False)
+        say(console, warning, style="yellow")
     for number, member in enumerate(members):
         label = member.dataset.provenance.surface
         if member.kind:
-            sentence = kind_sentence(label, member.kind, member.likelihoods)
-            console.print(sentence, markup=False, highlight=False)
+            say(console, kind_sentence(label, member.kind, member.likelihoods))
         compared = member_skill(library, number, member)
         console.print(skill_table(label, compared))
         for warning in skill_warnings(label, label, compared):
-            console.print(warning, style="yellow", markup=False, highlight=False)
+            say(console, warning, style="yellow")

@@ -6,14 +6,11 @@ from typing import Annotated
 
 import typer
 
+from egp_service.cli.options import Recording, recording_file
+
 
 def view(
-    recording: Annotated[
-        Path,
-        typer.Argument(
-            help="A run.mcap of `egp drive` or `Recorder`, or its folder.", show_default=False
-        ),
-    ],
+    recording: Recording,
     *,
     output: Annotated[
         Path | None,
@@ -34,8 +31,6 @@ def view(
       egp view run.mcap --save run.rrd    (then: rerun run.rrd)
     """
     from rich.console import Console
-
-    from egp_service.cli.options import recording_file
 
     console = Console()
     recording = recording_file(recording)
