@@ -67,7 +67,7 @@ def test_zones_that_cannot_be_read_name_their_file(tmp_path: FilePath) -> None:
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: RoadBelief(PATH, window=0), "positive number for window, got 0"),
+        (lambda: RoadBelief(PATH, window=0), "1 to 1000 transitions for window, got 0"),
         (lambda: setattr(belief(), "window", 0), "for window, got 0"),
         (lambda: belief().update(NAN), "for s, got NaN"),
         (lambda: belief().ahead([0.0, 1.0], 2.0), "probability in .* got 2"),

@@ -33,7 +33,7 @@ class RoadBelief:
 
     Raises:
         InvalidArgumentError: unless the window is 1 to 1000, the scale 0.01 to 1, and the path 1 m
-            to 1000 km long.
+            to 1000 km times the scale long.
 
     """
 

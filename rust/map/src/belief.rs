@@ -5,7 +5,7 @@ use std::mem::take;
 
 use egp_parameters::FRICTION_HYPOTHESES;
 
-use crate::belief_error::{BeliefError, at_most, log_likelihood_of_step, place};
+use crate::belief_error::{BeliefError, check, log_likelihood_of_step, place};
 use crate::grid::{Grid, Row, interpolate_with_dead_zone, pass_backward, pass_forward};
 use crate::layer::Layer;
 use crate::recent::Recent;
@@ -23,12 +23,10 @@ pub(crate) const REACH: f64 = 60.0;
 /// metres: plans take the lowest friction within it.
 pub(crate) const BLUR: f64 = 4.0;
 
-/// Longest road, m.
+/// Longest road of full-size vehicles, m.
 const LONGEST: f64 = 1e6;
 /// Least length of a road, m.
 const SHORTEST: f64 = 1.0;
-/// The accepted lengths, for errors.
-const LENGTH: &str = "a length from 1 to 1e6 m";
 /// Distance, m, that no vehicle drives in a control period.
 const JUMP: f64 = 100.0;
 /// Window of a new belief, in transitions.
@@ -91,21 +89,45 @@ impl RoadBelief {
     /// # Errors
     /// [`BeliefError`] unless the length is from 1 m to 1000 km.
     pub fn new(length: f64, closed: bool) -> Result<Self, BeliefError> {
-        at_most("length", length, LONGEST, LENGTH)?;
-        if length < SHORTEST {
-            return Err(BeliefError {
-                name: "length",
-                expected: LENGTH,
-                value: length,
-            });
-        }
-        let cells = (length / CELL).ceil();
+        check("length", length, "a length from 1 to 1e6 m", |v| {
+            (SHORTEST..=LONGEST).contains(&v)
+        })?;
+        Ok(Self::empty(length, closed, 1.0))
+    }
+
+    /// A belief without evidence about the same road, for vehicles of this
+    /// [scale](egp_parameters::VehicleParameters::scale), by which all lengths are multiplied: cells, patches, the distance
+    /// between changes of the surface, and that within which a vehicle cannot react.
+    ///
+    /// Only beliefs of the same scale exchange tiles and files.
+    ///
+    /// # Errors
+    /// [`BeliefError`] unless the scale is 0.01 to 1 and the road is at most 1000 km times the scale long.
+    pub fn with_scale(self, scale: f64) -> Result<Self, BeliefError> {
+        check("scale", scale, "0.01 to 1", |v| {
+            (SMALLEST..=1.0).contains(&v)
+        })?;
+        // The length is that of all cells, and may be rounded up.
+        let (length, most) = (self.length(), scale * LONGEST * (1.0 + 1e-9));
+        check("length", length, "at most 1e6 m times the scale", |v| {
+            v <= most
+        })?;
         Ok(Self {
+            window: self.window,
+            shape: self.shape,
+            ..Self::empty(length, self.closed, scale)
+        })
+    }
+
+    /// A belief without evidence.
+    fn empty(length: f64, closed: bool, scale: f64) -> Self {
+        let cells = (length / (scale * CELL)).ceil();
+        Self {
             window: DEFAULT_WINDOW,
             grid: Grid::new(),
             closed,
             shape: Vec::new(),
-            scale: 1.0,
+            scale,
             cell: length / cells,
             track: VecDeque::with_capacity(DEFAULT_WINDOW + 1),
             evidence: vec![[0.0; _]; cells as usize],
@@ -116,32 +138,7 @@ impl RoadBelief {
             changed: BTreeSet::new(),
             forward: Vec::new(),
             backward: Vec::new(),
-        })
-    }
-
-    /// A belief without evidence about the same road, for vehicles of this
-    /// [scale](egp_parameters::VehicleParameters::scale), by which all lengths are multiplied: cells, patches, the distance
-    /// between changes of the surface, and that within which a vehicle cannot react.
-    ///
-    /// Only beliefs of the same scale exchange tiles and files.
-    ///
-    /// # Errors
-    /// [`BeliefError`] unless the scale is 0.01 to 1.
-    pub fn with_scale(mut self, scale: f64) -> Result<Self, BeliefError> {
-        if !(SMALLEST..=1.0).contains(&scale) {
-            return Err(BeliefError {
-                name: "scale",
-                expected: "0.01 to 1",
-                value: scale,
-            });
         }
-        let length = self.length();
-        self.scale = scale;
-        let cells = (length / self.longest_cell()).ceil();
-        self.cell = length / cells;
-        self.evidence = vec![[0.0; _]; cells as usize];
-        self.likelihood = vec![[1.0; _]; cells as usize];
-        Ok(self)
     }
 
     /// The factor of all lengths of the belief.
@@ -170,7 +167,9 @@ impl RoadBelief {
     /// # Errors
     /// [`BeliefError`] unless it is 1 to 1000 transitions.
     pub fn set_window(&mut self, window: usize) -> Result<(), BeliefError> {
-        at_most("window", window as f64, WINDOW, "1 to 1000 transitions")?;
+        check("window", window as f64, "1 to 1000 transitions", |v| {
+            (1.0..=WINDOW).contains(&v)
+        })?;
         if window != self.window {
             if let Some(reported) = &mut self.reported {
                 reported.end_windows(self.window);

@@ -20,7 +20,7 @@ pub struct BeliefError {
 }
 
 /// Errors unless `accept` returns true.
-fn check(
+pub(crate) fn check(
     name: &'static str,
     value: f64,
     expected: &'static str,
@@ -47,17 +47,6 @@ pub(crate) fn place(name: &'static str, value: f64) -> Result<(), BeliefError> {
 /// Errors unless a stretch of road can be planned for.
 pub(crate) fn stretch(name: &'static str, length: f64) -> Result<(), BeliefError> {
     check(name, length, "at most 1e4 m", |v| v <= AHEAD)
-}
-
-/// Errors unless `value` is positive and at most `limit`.
-pub(crate) fn at_most(
-    name: &'static str,
-    value: f64,
-    limit: f64,
-    expected: &'static str,
-) -> Result<(), BeliefError> {
-    positive(name, value)?;
-    check(name, value, expected, |v| v <= limit)
 }
 
 /// Errors unless `value` is positive and finite.

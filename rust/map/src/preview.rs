@@ -2,7 +2,7 @@
 
 use crate::RoadBelief;
 use crate::belief::REACH;
-use crate::belief_error::{BeliefError, place, stretch};
+use crate::belief_error::{BeliefError, check, place, stretch};
 
 impl RoadBelief {
     /// Writes rows of the friction coefficient's median and standard deviation: first the mean over the places that the
@@ -23,22 +23,17 @@ impl RoadBelief {
             });
         };
         place("places", start)?;
-        if out.len() != places.len() + 1 {
-            return Err(BeliefError {
-                name: "the number of rows",
-                expected: "one more than places",
-                value: out.len() as f64,
-            });
-        }
-        if let Some(pair) = places
-            .windows(2)
-            .find(|pair| pair[1].is_nan() || pair[1] < pair[0])
-        {
-            return Err(BeliefError {
-                name: "places",
-                expected: "arc lengths that do not decrease",
-                value: pair[1],
-            });
+        let rows = places.len() as f64 + 1.0;
+        check(
+            "the number of rows",
+            out.len() as f64,
+            "one more than places",
+            |v| v == rows,
+        )?;
+        for pair in places.windows(2) {
+            check("places", pair[1], "arc lengths that do not decrease", |v| {
+                v >= pair[0]
+            })?;
         }
         let oldest = self.near(self.track.front().copied().unwrap_or(start), start);
         stretch("the stretch of places", end - oldest.min(start))?;

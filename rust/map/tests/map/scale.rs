@@ -68,3 +68,25 @@ fn a_scale_that_is_none_is_an_error() {
     }
     assert!((small().longest_cell() - 0.25).abs() < 1e-15);
 }
+
+#[test]
+fn a_road_has_at_most_as_many_cells_as_one_of_1000_km_at_full_size() {
+    let longest = |length: f64| RoadBelief::new(length, false).unwrap().with_scale(0.01);
+    let told = longest(11e3).unwrap_err().to_string();
+    assert!(told.contains("1e6 m times the scale for length"), "{told}");
+    assert_eq!(longest(10e3).unwrap().tiles(), 7813);
+}
+
+#[test]
+fn another_scale_makes_a_belief_without_what_was_recalled() {
+    let stored = belief().to_bytes().unwrap();
+    let mut scaled = belief();
+    scaled.set_window(2).unwrap();
+    scaled.recall(&stored).unwrap();
+    let mut scaled = scaled.with_scale(SCALE).unwrap();
+    assert_eq!(scaled.window(), 2);
+    for s in [496.0, 497.0, 498.0, 499.0] {
+        scaled.update(s, Some(&evidence(0.4))).unwrap();
+    }
+    assert_ne!(scaled.quantile(497.0, 0.5), belief().quantile(497.0, 0.5));
+}
