@@ -19,7 +19,7 @@ use std::{fs, io, thread};
 
 use clap::{CommandFactory as _, FromArgMatches as _, Parser};
 use egp_simulator::{Course, Track};
-use egp_wire::{Interrupt, print_line, survive_file_size_limit};
+use egp_wire::{Interrupt, print_line, print_notice, survive_file_size_limit};
 use serde::Serialize;
 
 use crate::drive::{Assignment, drive};
@@ -211,7 +211,7 @@ fn report(
     result: &(impl Display + Serialize),
 ) -> Result<(), Failure> {
     if nothing_measured {
-        eprintln!("egp-load: interrupted before the measurement began");
+        print_notice("egp-load: interrupted before the measurement began");
         return Ok(());
     }
     // Each is done although the other one fails.
@@ -318,7 +318,7 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     match run(&arguments) {
         Ok(code) => code,
         Err(error) => {
-            eprintln!("egp-load: {error}");
+            print_notice(format_args!("egp-load: {error}"));
             1
         }
     }

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use egp_simulator::CAR;
 use egp_vehicle::{GateLimits, VehicleConfig, open_session};
 use egp_wire::keys::{self, Name};
-use egp_wire::{Interrupt, Ready, Request};
+use egp_wire::{Interrupt, Ready, Request, print_notice};
 use zenoh::bytes::ZBytes;
 use zenoh::query::Reply;
 use zenoh::{Session, Wait};
@@ -44,7 +44,7 @@ impl<'a> Replay<'a> {
         for replica in live(&first)? {
             match ready(&first, &replica) {
                 Ok(ready) => described.push((replica, ready)),
-                Err(error) => eprintln!("egp-load: {error}, and gets no requests"),
+                Err(error) => print_notice(format_args!("egp-load: {error}, and gets no requests")),
             }
         }
         if described.is_empty() {

@@ -168,6 +168,18 @@ fn a_folder_in_place_of_the_report_is_an_error_before_the_measurement() {
 }
 
 #[test]
+fn an_error_that_nobody_reads_ends_the_program_like_any_other() {
+    let (reader, told) = std::io::pipe().unwrap();
+    drop(reader);
+    let status = Command::new(env!("CARGO_BIN_EXE_egp-load"))
+        .args(["--json", env!("CARGO_TARGET_TMPDIR")])
+        .stderr(told)
+        .status()
+        .unwrap();
+    assert_eq!(status.code(), Some(1));
+}
+
+#[test]
 fn the_usage_asks_for_no_option_that_has_a_default() {
     let output = Command::new(env!("CARGO_BIN_EXE_egp-load"))
         .arg("--nonsense")

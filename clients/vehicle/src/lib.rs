@@ -37,7 +37,7 @@ pub use egp_gate::{Command, Limits as GateLimits, Mode};
 pub use egp_map::RoadBelief;
 pub use egp_parameters::VehicleParameters;
 pub use egp_session::NetworkError;
-pub use egp_wire::{set_receive_threads, survive_file_size_limit};
+pub use egp_wire::{print_line, print_notice, set_receive_threads, survive_file_size_limit};
 pub use fleet_map::{FleetMap, FleetMapConfig, FleetMapError};
 pub use network::{ask, open_session};
 pub use traces::{StepTraces, StepTracesError};

@@ -5,7 +5,7 @@ use std::io::{self, IsTerminal as _, Write as _};
 use std::path::{Path, PathBuf};
 
 use clap::Parser;
-use egp_wire::{Interrupt, print_line, survive_file_size_limit};
+use egp_wire::{Interrupt, print_line, print_notice, survive_file_size_limit};
 
 use crate::{Config, Run, Scene, ScheduledFault, SimulationError, planted, repeat};
 
@@ -111,7 +111,7 @@ fn finished<T>(
     match run(&options) {
         Ok(code) => code,
         Err(error) => {
-            eprintln!("egp-simulate: {error}");
+            print_notice(format_args!("egp-simulate: {error}"));
             2
         }
     }
@@ -202,7 +202,7 @@ fn hunt(
 ) -> Result<Hunt, SimulationError> {
     let interrupt = Interrupt::watch()?;
     let (mut done, mut sound, mut total) = (0, true, Run::default());
-    let (count, terminal) = (seeds.clone().count(), std::io::stderr().is_terminal());
+    let (count, terminal) = (seeds.clone().count(), io::stderr().is_terminal());
     for seed in seeds {
         if interrupt.came() {
             break;
@@ -220,13 +220,13 @@ fn hunt(
         total.faults += run.faults;
         if terminal {
             let filled = 40 * done / count;
-            eprint!("\r[{:40}] {} of {count} seeds", "#".repeat(filled), done);
+            let bar = "#".repeat(filled);
             // A bar that cannot be drawn is no reason to stop.
-            let _ = std::io::stderr().flush();
+            let _ = write!(io::stderr(), "\r[{bar:40}] {done} of {count} seeds");
         }
     }
     if terminal {
-        eprintln!();
+        print_notice("");
     }
     Ok(Hunt {
         seeds: done,

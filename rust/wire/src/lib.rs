@@ -51,7 +51,7 @@ pub use header::Header;
 pub use hex::from_hex;
 pub use library_file::LibraryFile;
 pub use library_keys::LIBRARY_PART_BYTES;
-pub use output::print_line;
+pub use output::{print_line, print_notice};
 pub use predictions::Predictions;
 pub use proto::{Load, Status, Timing};
 pub use ready::Ready;

@@ -1,4 +1,4 @@
-//! What programs write to their standard output.
+//! What programs write to their standard output and standard error.
 
 use std::fmt::Display;
 use std::io::{self, Write};
@@ -10,6 +10,12 @@ use std::io::{self, Write};
 /// [`io::Error`] if the text cannot be written, because a disk is full for instance.
 pub fn print_line(text: impl Display) -> io::Result<bool> {
     write_line(&mut io::stdout().lock(), &text)
+}
+
+/// Writes a text and the end of its line to the standard error. If it cannot be written, there is no other place for it, and
+/// the program goes on.
+pub fn print_notice(text: impl Display) {
+    let _ = writeln!(io::stderr(), "{text}");
 }
 
 fn write_line(out: &mut impl Write, text: &dyn Display) -> io::Result<bool> {

@@ -8,7 +8,9 @@ use std::time::{Duration, Instant};
 
 use clap::Parser;
 use egp_simulator::{CAR, Course, Period, SimulatedVehicle, Track};
-use egp_vehicle::{GateLimits, Mode, Step, VehicleConfig, survive_file_size_limit};
+use egp_vehicle::{
+    GateLimits, Mode, Step, VehicleConfig, print_line, print_notice, survive_file_size_limit,
+};
 
 /// Below this speed, m/s, the car stands.
 const STANDING: f64 = 0.1;
@@ -103,7 +105,9 @@ fn show(period: &Period, weights: &[f64]) {
         .iter()
         .map(|weight| format!("{weight:.2}"))
         .collect();
-    eprint!(
+    // The car drives on although nobody reads where it is.
+    let _ = write!(
+        io::stderr(),
         "\r s {:6.1} m  v {:4.1} m/s  lateral {:+.2} m  mu {:.2}  {:6}  weights {} ",
         period.projection.s,
         period.v_x,
@@ -128,7 +132,10 @@ fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
         config = config.with_key(file)?;
     }
     let mut vehicle = SimulatedVehicle::connect(&config, course.clone(), 0.0)?;
-    eprintln!("surfaces: {}", vehicle.client().members().join(", "));
+    print_notice(format_args!(
+        "surfaces: {}",
+        vehicle.client().members().join(", ")
+    ));
     let way = course.path.length() * f64::from(arguments.laps);
     let (begin, period) = (Instant::now(), Duration::from_secs_f64(vehicle.dt()));
     let mut summary = Summary::default();
@@ -150,22 +157,16 @@ fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
         }
         start += period;
     }
-    eprintln!();
-    let told = writeln!(
-        io::stdout(),
+    print_notice("");
+    print_line(format_args!(
         "{:.1} s, largest lateral error {:.2} m, {} of {} periods without a new plan, slowest answer {:.1} ms",
         begin.elapsed().as_secs_f64(),
         summary.lateral,
         summary.missed,
         summary.periods,
         summary.latency.as_secs_f64() * 1e3,
-    );
-    match told {
-        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
-            Err(format!("cannot write to the standard output: {error}").into())
-        }
-        _ => Ok(()),
-    }
+    ))?;
+    Ok(())
 }
 
 #[allow(unsafe_code)]
@@ -175,7 +176,7 @@ fn main() -> ExitCode {
     match run(&Arguments::parse()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("\negp-simulator: {error}");
+            print_notice(format_args!("\negp-simulator: {error}"));
             ExitCode::FAILURE
         }
     }

@@ -7,7 +7,7 @@ use std::process::ExitCode;
 use clap::Parser;
 use egp_core::library::hex;
 use egp_service::{ServiceConfig, ServiceSignals, serve};
-use egp_wire::print_line;
+use egp_wire::{print_line, print_notice};
 
 /// The text of `--help` behind the options.
 const HELP: &str = r#"Answers the control steps of vehicles over zenoh.
@@ -130,7 +130,7 @@ fn run() -> Result<(), Box<dyn std::error::Error>> {
     }
     let checked = egp_service::check(&config)?;
     for warning in checked.warnings {
-        eprintln!("egp-server: {warning}");
+        print_notice(format_args!("egp-server: {warning}"));
     }
     let served = checked.served;
     print_line(format_args!(
@@ -154,7 +154,7 @@ fn main() -> ExitCode {
     match run() {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("egp-server: {error}");
+            print_notice(format_args!("egp-server: {error}"));
             ExitCode::FAILURE
         }
     }
