@@ -19,7 +19,7 @@ use std::{fs, io, thread};
 
 use clap::{CommandFactory as _, FromArgMatches as _, Parser};
 use egp_simulator::{Course, Track};
-use egp_wire::{Interrupt, print_line, print_notice, survive_file_size_limit};
+use egp_wire::{Interrupt, print_line, print_notice, replace_file, survive_file_size_limit};
 use serde::Serialize;
 
 use crate::drive::{Assignment, drive};
@@ -223,17 +223,13 @@ fn report(
     written
 }
 
-/// Writes a report beside the file and then in its place, so that an earlier one stays if it cannot be written. What is no
-/// regular file, such as a pipe, is written itself.
+/// Replaces the report's file, so that an earlier one stays if it cannot be written. What is no regular file, such as a pipe,
+/// is written itself.
 fn write_report(path: &Path, json: &[u8]) -> io::Result<()> {
     if fs::metadata(path).is_ok_and(|found| !found.is_file()) {
         return fs::write(path, json);
     }
-    let path = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
-    let mut beside = path.clone().into_os_string();
-    beside.push(format!(".{}.part", std::process::id()));
-    let written = fs::write(&beside, json).and_then(|()| fs::rename(&beside, path));
-    written.inspect_err(|_| drop(fs::remove_file(&beside)))
+    replace_file(path, json)
 }
 
 fn unwritten(path: &Path, error: &io::Error) -> String {
@@ -328,25 +324,6 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> u8 {
 #[allow(clippy::unwrap_used)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_report_that_cannot_be_written_leaves_the_earlier_one() {
-        let name = format!("egp-load-report-{}", std::process::id());
-        let folder = std::env::temp_dir().join(name);
-        let path = folder.join("report.json");
-        fs::create_dir_all(&folder).unwrap();
-        write_report(&path, b"old").unwrap();
-        // A folder has the name of the new bytes.
-        let beside = format!("report.json.{}.part", std::process::id());
-        fs::create_dir(folder.join(&beside)).unwrap();
-        write_report(&path, b"new").unwrap_err();
-        assert_eq!(fs::read(&path).unwrap(), b"old");
-        fs::remove_dir(folder.join(&beside)).unwrap();
-        write_report(&path, b"new").unwrap();
-        assert_eq!(fs::read(&path).unwrap(), b"new");
-        assert_eq!(fs::read_dir(&folder).unwrap().count(), 1);
-        fs::remove_dir_all(&folder).unwrap();
-    }
 
     #[test]
     fn a_time_is_rounded_up_to_whole_periods() {

@@ -12,4 +12,4 @@ mod sync;
 pub use cores::available_cores;
 pub use engine::{Engine, EngineWorkspace, unknown_library};
 pub use error::EngineError;
-pub use file::{Replacement, read_library, replace_file, replaceable, sync_folder};
+pub use file::read_library;

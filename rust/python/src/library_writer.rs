@@ -6,7 +6,8 @@ use std::path::PathBuf;
 use egp_core::library::{self, LibrarySpec};
 use egp_core::vehicle::ModelParameters;
 use egp_core::{Kernel, NY};
-use egp_engine::{read_library, replace_file};
+use egp_engine::read_library;
+use egp_wire::replace_file;
 use pyo3::prelude::*;
 
 use crate::array::{Cube, Matrix, Vector, fixed, layers, rows, wrong_shape};

@@ -4,8 +4,7 @@ use std::path::{Path, PathBuf};
 use std::{fs, io};
 
 use egp_core::library;
-use egp_engine::{Replacement, replaceable, sync_folder};
-use egp_wire::{from_hex, read_regular, read_text};
+use egp_wire::{Replacement, from_hex, read_regular, read_text, replaceable, sync_folder};
 use ring::digest::{SHA256, digest};
 use ring::signature::{ED25519, UnparsedPublicKey};
 use thiserror::Error;

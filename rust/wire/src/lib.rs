@@ -33,6 +33,7 @@ pub mod limits;
 mod output;
 mod predictions;
 mod ready;
+mod replace;
 mod reply;
 mod request;
 mod road;
@@ -55,6 +56,7 @@ pub use output::{print_line, print_notice};
 pub use predictions::Predictions;
 pub use proto::{Load, Status, Timing};
 pub use ready::Ready;
+pub use replace::{Replacement, replace_file, replaceable, sync_folder};
 pub use reply::{Reply, status_name};
 pub use request::{Request, check_reference, check_road_friction, check_state};
 pub use road::{

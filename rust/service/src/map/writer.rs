@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::mpsc::{self, Receiver, SyncSender, TryRecvError};
 use std::{fs, io, thread};
 
-use egp_engine::replace_file;
+use egp_wire::replace_file;
 
 use super::file::path;
 use super::file_error::{RoadFileError, system};
@@ -120,7 +120,7 @@ pub(crate) fn remove_unfinished(folder: &Path) -> Result<(), RoadFileError> {
 #[cfg(test)]
 #[allow(clippy::unwrap_used, clippy::panic)]
 mod tests {
-    use egp_engine::Replacement;
+    use egp_wire::Replacement;
 
     use super::*;
 

@@ -7,6 +7,7 @@ mod errors;
 mod golden;
 mod properties;
 mod protobuf;
+mod replace;
 mod road;
 mod seals;
 
