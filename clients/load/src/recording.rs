@@ -1,14 +1,16 @@
 //! The requests of a recorded run.
 
 use std::collections::BTreeSet;
-use std::fs;
 use std::path::Path;
 
 use egp_wire::keys::Name;
-use egp_wire::{Ready, Request};
+use egp_wire::{Ready, Request, read_regular};
 use thiserror::Error;
 
 use crate::Failure;
+
+/// Largest number of bytes of a file of requests.
+const MOST_BYTES: u64 = 4 << 30;
 
 /// Why a recording cannot be replayed at the replicas that were found.
 #[derive(Debug, PartialEq, Error)]
@@ -71,7 +73,11 @@ pub(crate) fn period(
 /// A message if the file cannot be read, or holds no request or one that is not valid.
 pub(crate) fn read(path: &Path) -> Result<Vec<Request>, Failure> {
     let name = path.display();
-    let bytes = fs::read(path).map_err(|error| format!("cannot read {name}: {error}"))?;
+    let bytes = read_regular(path, MOST_BYTES + 1);
+    let bytes = bytes.map_err(|error| format!("cannot read {name}: {error}"))?;
+    if bytes.len() as u64 > MOST_BYTES {
+        return Err(format!("{name}: expected at most 4 GiB of requests; replay a part").into());
+    }
     let mut rest = bytes.as_slice();
     let mut requests = Vec::new();
     while !rest.is_empty() {
