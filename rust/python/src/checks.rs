@@ -18,7 +18,7 @@ pub fn check_service(py: Python<'_>, config_toml: &str) -> PyResult<(Replica, Ve
     Ok((Replica::of(py, checked.served)?, checked.warnings))
 }
 
-/// The vector instructions that Gaussian processes use on this machine: `AVX-512`, `AVX2` or `none`.
+/// The vector instructions that Gaussian processes use on this machine: `AVX-512`, `AVX2`, `NEON` or `none`.
 #[pyfunction]
 pub fn vector_instructions() -> &'static str {
     egp_core::vector_instructions()
