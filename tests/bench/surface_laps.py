@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from egp_service._core import Library
-from egp_service._core.testing import plant_initial_states, plant_step_batch
+from egp_service._core import Library, Plant
+from egp_service._core.testing import plant_initial_states
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE, Contender, make
 from egp_service.evaluation.experiment import NOISE
 from egp_service.simulation.closed_loop import drive
@@ -45,7 +45,11 @@ def front_force(surface: str, slips: NDArray[np.float64]) -> NDArray[np.float64]
     vehicle[:, 2], vehicle[:, 6] = SPEED, slips
     before = plant_initial_states(vehicle)
     before[:, FRONT_WHEELS] *= np.cos(slips)[:, None]
-    after, _ = plant_step_batch(before, np.zeros((len(slips), 2)), SHORT, surface)
+    after, plant = before.copy(), Plant()
+    for row in after:
+        plant.state = row
+        plant.step(np.zeros(2), SHORT, surface)
+        row[:] = plant.state
     return np.asarray((after[:, OMEGA] - before[:, OMEGA]) / np.cos(slips))
 
 

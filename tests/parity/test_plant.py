@@ -19,7 +19,6 @@ from egp_service._core.testing import (
     plant_derivative,
     plant_initial_states,
     plant_lateral_acceleration,
-    plant_step_batch,
 )
 
 if TYPE_CHECKING:
@@ -190,24 +189,6 @@ def test_no_force_beyond_friction_and_no_energy_from_nothing(vehicle: int, frict
         energy = kinetic_energy()
 
 
-def test_batch_is_the_single_plants_bit_for_bit() -> None:
-    rng, n = np.random.default_rng(0), 64
-    seen = np.zeros((n, 7))
-    seen[:, 2], seen[:, 6] = rng.uniform(0, 40, n), rng.uniform(-0.1, 0.1, n)
-    u = np.column_stack([rng.uniform(-8e3, 6e3, n), rng.uniform(-0.4, 0.4, n)])
-    friction = rng.uniform(0.3, 1.2, n)
-    states = plant_initial_states(seen)
-    states[5, 5] = 100.0  # spinning like a top
-    after, completed = plant_step_batch(states, u, 0.05, friction)
-    assert list(np.flatnonzero(~completed)) == [5]
-    np.testing.assert_array_equal(after[5], states[5])
-    plant = Plant()
-    for i in np.flatnonzero(completed):
-        plant.state = states[i]
-        plant.step(u[i], 0.05, float(friction[i]))
-        np.testing.assert_array_equal(plant.state, after[i])
-
-
 def test_split_friction_enters_by_wheel() -> None:
     """Ice on the left: braking turns the vehicle to the right, on a path as wheel by wheel."""
     plant = Plant()
@@ -298,9 +279,6 @@ def test_a_surface_is_a_number_a_preset_or_a_table() -> None:
     points = np.column_stack([np.linspace(-100.0, 100.0, 41), np.zeros(41)])
     line = Path.from_points(points, closed=False).with_friction([(0.0, "snow")])
     np.testing.assert_array_equal(driven(line), driven("snow"))
-    states = plant_initial_states(np.array([[0.0, 0.0, 15.0, 0.0, 0.0, 0.0, 0.02]]))
-    after, _ = plant_step_batch(states, np.array([[-2000.0, 0.1]]), 0.2, "snow")
-    np.testing.assert_array_equal(after[0], driven("snow"))
     with pytest.raises(EgpError, match="no surface"):
         driven("mud")
 
@@ -325,8 +303,6 @@ def test_refusals_keep_the_state() -> None:
         plant.reset(0.0, 0.0, 0.0, -1.0)
     with pytest.raises(EgpError, match=r"vehicles 1, 2.*, got 0"):
         Plant(0)
-    with pytest.raises(EgpError, match="rows of friction"):
-        plant_step_batch(np.array([before]), np.zeros((1, 2)), 0.05, np.ones(2))
     np.testing.assert_array_equal(plant.state, before)
     plant.reset(0.0, 0.0, 0.0, 5.0, yaw_rate=20.0)
     before = plant.state

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from egp_service._core.optimal_control import OcpBounds, OcpWeights
-from egp_service._core.path import _Surface
 from egp_service._core.plant import Plant
 
 MAP_HEALTH_KEY: str
@@ -95,13 +94,6 @@ def plant_initial_states(
     vehicle_states: NDArray[np.float64], vehicle: int = 1
 ) -> NDArray[np.float64]: ...
 def plant_lateral_acceleration(plant: Plant) -> float: ...
-def plant_step_batch(
-    states: ArrayLike,
-    u: ArrayLike,
-    dt: float,
-    friction: NDArray[np.float64] | _Surface,
-    vehicle: int = 1,
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]: ...
 def decode_error(data: bytes) -> Refusal: ...
 def decode_timing(data: bytes) -> tuple[int, int]: ...
 def step_key(replica: str, fleet: str, vehicle: str) -> str: ...

@@ -8,24 +8,14 @@ use crate::{Parameters, PlantError, Surface};
 /// Longest substep at any speed, s.
 pub const MAX_SUBSTEP: f64 = 5e-3;
 
-/// Longest stable and accurate substep at speed `v_x`, s.
+/// Longest stable and accurate substep at speed `v_x`, s, where surfaces scale the stiffness by at most `stiffness` and a load
+/// of `weight` N may act on one wheel beside the static one.
 ///
 /// The stiffest mode is the relaxation of a wheel's spin to the rolling speed through its slip stiffness, with the time
 /// constant `tau = I v_x / (R² K)`, `K = p_kx1 F_z`: 2.5 ms at 15 m/s, 0.2 ms at 1 m/s. Fourth-order Runge-Kutta is
-/// stable up to `2.78 tau`; `2 tau` at static load leaves a margin for load transfer. At walking speed there is no
-/// slip.
-pub fn longest_substep(parameters: &Parameters, v_x: f64) -> f64 {
-    disturbed_longest_substep(parameters, v_x, 1.0, 0.0)
-}
-
-/// [`longest_substep`] where surfaces scale the stiffness by at most `stiffness` and a load of `weight` N may act on one
-/// wheel. A lower stiffness does not lengthen the substep, because the other modes have the same time constants.
-pub(crate) fn disturbed_longest_substep(
-    parameters: &Parameters,
-    v_x: f64,
-    stiffness: f64,
-    weight: f64,
-) -> f64 {
+/// stable up to `2.78 tau`; `2 tau` at this load leaves a margin for load transfer. A lower stiffness does not lengthen the
+/// substep, because the other modes have the same time constants. At walking speed there is no slip.
+pub fn longest_substep(parameters: &Parameters, v_x: f64, stiffness: f64, weight: f64) -> f64 {
     if v_x < KINEMATIC_SPEED {
         return MAX_SUBSTEP;
     }

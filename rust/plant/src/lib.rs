@@ -23,7 +23,6 @@
 //! ```
 
 mod axle;
-mod batch;
 mod disturbances;
 mod dynamics;
 mod effects;
@@ -38,7 +37,6 @@ mod tyre;
 
 pub use egp_parameters::{ForceCurve, GRAVITY, Surface, SurfaceError};
 
-pub use batch::{BatchItem, step_batch};
 pub use disturbances::Disturbances;
 pub use dynamics::{KINEMATIC_SPEED, derivative};
 pub use error::PlantError;

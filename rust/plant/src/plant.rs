@@ -4,7 +4,7 @@ use crate::axle::wheel_offsets;
 use crate::dynamics::{KINEMATIC_SPEED, lateral_acceleration, roll_without_slip};
 use crate::effects::Effects;
 use crate::error::{check_forward_speed, finite};
-use crate::integrator::{disturbed_longest_substep, rk4};
+use crate::integrator::{longest_substep, rk4};
 use crate::state::{STATE_NAMES, StateVector, VehicleState, WHEELS, initial_state, settled};
 use crate::{Disturbances, Friction, Parameters, PlantError, Surface};
 
@@ -168,7 +168,7 @@ impl Plant {
             }
         }
         let weight = self.effects.weight;
-        disturbed_longest_substep(&self.parameters, state[3], stiffest, weight)
+        longest_substep(&self.parameters, state[3], stiffest, weight)
     }
 
     /// The surface under each wheel as its tyre finds it.
@@ -210,7 +210,7 @@ impl Plant {
 const LONGEST_PERIOD: f64 = 100.0;
 
 /// Errors unless the input is finite and the period positive and at most [`LONGEST_PERIOD`].
-pub(crate) fn check_step(input: [f64; 2], dt: f64) -> Result<(), PlantError> {
+fn check_step(input: [f64; 2], dt: f64) -> Result<(), PlantError> {
     finite("F_x", input[0])?;
     finite("delta_dot", input[1])?;
     if dt > 0.0 && dt <= LONGEST_PERIOD {

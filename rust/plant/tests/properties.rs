@@ -3,8 +3,8 @@
 #![allow(missing_docs, clippy::unwrap_used)]
 
 use egp_plant::{
-    BatchItem, Contact, Friction, GRAVITY, MAX_SUBSTEP, Plant, PlantError, Surface, Uniform,
-    VehicleId, VehicleState, derivative, initial_state, longest_substep, step_batch,
+    Contact, Friction, GRAVITY, MAX_SUBSTEP, Plant, PlantError, Surface, Uniform, VehicleId,
+    VehicleState, derivative, initial_state, longest_substep,
 };
 use proptest::prelude::*;
 
@@ -131,9 +131,9 @@ fn substeps_converge_at_fourth_order() {
 #[test]
 fn substeps_shrink_with_speed() {
     let parameters = VehicleId::FordEscort.parameters();
-    assert_eq!(longest_substep(&parameters, 30.0), MAX_SUBSTEP);
-    assert!(longest_substep(&parameters, 1.0) < 5e-4);
-    assert_eq!(longest_substep(&parameters, 0.0), MAX_SUBSTEP);
+    assert_eq!(longest_substep(&parameters, 30.0, 1.0, 0.0), MAX_SUBSTEP);
+    assert!(longest_substep(&parameters, 1.0, 1.0, 0.0) < 5e-4);
+    assert_eq!(longest_substep(&parameters, 0.0, 1.0, 0.0), MAX_SUBSTEP);
 }
 
 #[test]
@@ -223,31 +223,6 @@ fn the_same_surface_on_both_sides_is_a_uniform_surface() {
         .step([-2000.0, 0.3], 0.5, &Uniform::new(0.7).unwrap())
         .unwrap();
     assert_eq!(on_split.state(), uniform.state());
-}
-
-#[test]
-fn a_batch_has_the_bits_of_single_plants_and_a_spin_does_not_affect_the_others() {
-    let mut items: Vec<BatchItem> = (0..40)
-        .map(|i| BatchItem {
-            plant: plant(VehicleId::FordEscort, at_speed(5.0 + 0.5 * f64::from(i))),
-            input: [100.0 * f64::from(i), 0.01 * f64::from(i)],
-            friction: Uniform::new(0.4 + 0.02 * f64::from(i)).unwrap(),
-        })
-        .collect();
-    items[7]
-        .plant
-        .reset(&VehicleState {
-            omega: 20.0,
-            ..at_speed(5.0)
-        })
-        .unwrap();
-    let mut alone = items.clone();
-    let results = step_batch(&mut items, 0.05).unwrap();
-    for (i, (item, result)) in alone.iter_mut().zip(&results).enumerate() {
-        assert_eq!(item.plant.step(item.input, 0.05, &item.friction), *result);
-        assert_eq!(item.plant.state(), items[i].plant.state());
-        assert_eq!(result.is_err(), i == 7);
-    }
 }
 
 #[test]

@@ -152,7 +152,7 @@ mod _core {
         #[pymodule_export]
         use crate::testing::{
             MapServer, decode_timing, live_key, ocp_to_qp, plant_derivative, plant_initial_states,
-            plant_lateral_acceleration, plant_step_batch, ready_key, step_key,
+            plant_lateral_acceleration, ready_key, step_key,
         };
         #[pymodule_export]
         use crate::wire::{Refusal, decode_error};

@@ -3,24 +3,18 @@
 use std::sync::{Mutex, PoisonError};
 
 use egp_core::qp::{Csc, SparseQp};
-use egp_plant::{
-    BatchItem, NX, Parameters, StateVector, Surface, Uniform, VehicleId, VehicleState,
-};
+use egp_plant::{Parameters, Surface, VehicleId, VehicleState};
 use egp_service::map::MapConfig;
 use egp_wire::keys;
 use prost::Message as _;
 use pyo3::prelude::*;
 
 use crate::array::{ArrayLike, Matrix, NewMatrix, NewVector, Vector};
-use crate::array::{array, fixed, rows, vector};
+use crate::array::{fixed, rows, vector};
 use crate::error::{InvalidArgumentError, raise};
 use crate::plant::{Plant, plant_error};
 use crate::problem::{Arrays, OcpBounds, OcpWeights};
-use crate::surface::SurfaceValue;
-use crate::wire::name;
-
-/// A batch after one period: the states, and which plants completed it.
-type Stepped<'py> = (NewMatrix<'py>, NewVector<'py, bool>);
+use crate::wire::{matrix, name};
 
 /// Values, row indices and column starts of a sparse matrix.
 type Sparse<'py> = (NewVector<'py>, NewVector<'py, i64>, NewVector<'py, i64>);
@@ -89,22 +83,6 @@ pub enum WheelFriction<'py> {
     Wheels(Vector<'py>),
 }
 
-/// A friction coefficient for each vehicle of a batch, or one surface for all.
-#[derive(FromPyObject)]
-pub enum BatchSurface<'py> {
-    Each(Vector<'py>),
-    One(SurfaceValue),
-}
-
-impl BatchSurface<'_> {
-    fn surfaces(&self, count: usize) -> PyResult<Vec<Surface>> {
-        match self {
-            Self::Each(frictions) => Ok(frictions.as_array().iter().map(|&mu| mu.into()).collect()),
-            Self::One(value) => Ok(vec![value.surface()?; count]),
-        }
-    }
-}
-
 /// Right-hand side of the 29 differential equations.
 ///
 /// `friction` is one coefficient or four: front -y, front +y, rear -y, rear +y, with y to the left.
@@ -153,66 +131,13 @@ pub fn plant_initial_states<'py>(
                 .map_err(InvalidArgumentError::raise)
         })
         .collect::<PyResult<Vec<_>>>()?;
-    matrix(py, states)
-}
-
-/// Drive n vehicles `dt` seconds on all cores without the GIL.
-///
-/// States (n, 29), inputs (n, 2), friction (n,) or one surface for all. Returns the new states and which vehicles
-/// completed the period; one that spun keeps its state.
-#[pyfunction]
-#[pyo3(signature = (states, u, dt, friction, vehicle = 1))]
-pub fn plant_step_batch<'py>(
-    py: Python<'py>,
-    states: Matrix<'py>,
-    u: Matrix<'py>,
-    dt: f64,
-    friction: BatchSurface<'py>,
-    vehicle: u32,
-) -> PyResult<Stepped<'py>> {
-    let parameters = parameters(vehicle)?;
-    let states = rows::<NX>("states", &states)?;
-    let inputs = rows::<2>("u", &u)?;
-    let surfaces = friction.surfaces(states.len())?;
-    for (name, count) in [("u", inputs.len()), ("friction", surfaces.len())] {
-        if count != states.len() {
-            let expected = states.len();
-            return Err(InvalidArgumentError::new_err(format!(
-                "expected {expected} rows of {name}, one per state, got {count}"
-            )));
-        }
-    }
-    let mut items = (states.iter().zip(inputs).zip(surfaces))
-        .map(|((state, input), surface)| {
-            let mut plant = egp_plant::Plant::new(parameters.clone());
-            plant.set_state(state)?;
-            Ok(BatchItem {
-                plant,
-                input,
-                friction: Uniform::new(surface)?,
-            })
-        })
-        .collect::<Result<Vec<_>, egp_plant::PlantError>>()
-        .map_err(InvalidArgumentError::raise)?;
-    let results = py
-        .detach(|| egp_plant::step_batch(&mut items, dt))
-        .map_err(InvalidArgumentError::raise)?;
-    let completed: Vec<bool> = results.iter().map(Result::is_ok).collect();
-    Ok((
-        matrix(py, items.iter().map(|item| *item.plant.state()).collect())?,
-        vector(py, completed),
-    ))
+    matrix(py, &states)
 }
 
 fn parameters(vehicle: u32) -> PyResult<Parameters> {
     VehicleId::try_from(vehicle)
         .map(VehicleId::parameters)
         .map_err(InvalidArgumentError::raise)
-}
-
-fn matrix(py: Python<'_>, states: Vec<StateVector>) -> PyResult<NewMatrix<'_>> {
-    let count = states.len();
-    array(py, states.into_flattened(), [count, NX])
 }
 
 /// Read a Timing: microseconds in the queue and in the step.
