@@ -109,11 +109,39 @@ def test_settings_that_are_not_set_exist(key: str) -> None:
     assert key in flat(tomllib.loads(engine.settings_toml))
 
 
-def service_source() -> str:
-    """Give the source of the service's settings, with the filter of the log where it is used."""
-    source = (ROOT / "rust/service/src/config.rs").read_text(encoding="utf-8")
-    (log,) = re.findall(r'const DEFAULT_LOG: &str =\s+("[^"]+");', source)
-    return source.replace("DEFAULT_LOG.to_owned()", f"{log}.to_owned()")
+# Defaults in Rust that are not literals, by the values that the document states.
+WRITTEN: dict[str, Any] = {
+    "None": None,
+    "BTreeMap::new()": None,
+    "Settings::default()": None,
+    "library.into()": None,
+    "Vec::new()": [],
+    "false": False,
+}
+
+
+def rust_source(file: str) -> str:
+    return (ROOT / "rust" / file).read_text(encoding="utf-8")
+
+
+def written(file: str) -> dict[str, str]:
+    """Give the defaults of a configuration as its source has them."""
+    (log,) = re.findall(
+        r'const DEFAULT_LOG: &str =\s+("[^"]+");', rust_source("service/src/config.rs")
+    )
+    _, _, source = rust_source(file).partition("\n        Self {")
+    fields, _, _ = source.partition("\n        }")
+    found = re.findall(r"^            (\w+): ([^\n]+),$", fields, re.MULTILINE)
+    return {key: value.replace("DEFAULT_LOG", log) for key, value in found}
+
+
+def check_written(table: Mapping[str, Any], rust: Mapping[str, str]) -> None:
+    """Check that the document states the defaults of the source."""
+    for key, value in table.items():
+        text = rust[key].removesuffix(".to_owned()")
+        if not text.startswith('"'):
+            text = text.replace("_", "")  # Rust's separator of digits
+        assert value == (WRITTEN[text] if text in WRITTEN else evaluated(text, None)), key
 
 
 def test_service() -> None:
@@ -122,17 +150,7 @@ def test_service() -> None:
     _, _, known = str(refused.value).partition("expected one of")
     table = documented("Service")
     assert list(table) == re.findall(r"`(\w+)`", known)
-    functions = dict(re.findall(r"fn default_(\w+)\(\) -> \w+ \{\s+([^\n]+)\n\}", service_source()))
-    stated = {key: str(value) for key, value in table.items() if value is not None}
-    # Serde's defaults:
-    assert [stated.pop(key) for key in ("log_json", "libraries", "watch_ms")] == [
-        "False",
-        "[]",
-        "0",
-    ]
-    assert {key.removesuffix("_ms"): value for key, value in stated.items()} == {
-        key: value.removesuffix(".to_owned()").strip('"') for key, value in functions.items()
-    }
+    check_written(table, written("service/src/config.rs"))
 
 
 def test_map_service() -> None:
@@ -141,23 +159,10 @@ def test_map_service() -> None:
     _, _, known = str(refused.value).partition("expected one of")
     table = documented("Map service")
     assert list(table) == re.findall(r"`(\w+)`", known)
-    source = (ROOT / "rust/service/src/map/config.rs").read_text(encoding="utf-8")
-    _, _, source = source.partition("fn default() -> Self {")
-    source, _, _ = source.partition("\nimpl MapConfig")
-    merging = (ROOT / "rust/map/src/merge.rs").read_text(encoding="utf-8")
-    (log,) = re.findall(r"fn default_log\(\) -> String \{\s+([^\n]+)\n\}", service_source())
-    source = source.replace("DEFAULT_LOG.to_owned()", log)
-    written = {
-        **dict(re.findall(r"^            (\w+): ([^\n]+),$", source, re.MULTILINE)),
-        **dict(re.findall(r"^            (\w+): ([\d.]+),$", merging, re.MULTILINE)),
-    }
-    for key, value in table.items():
-        rust = written[key].removesuffix(".to_owned()")
-        if not rust.startswith('"'):
-            rust = rust.replace("_", "")  # Rust's separator of digits
-        expected = {"None": None, "BTreeMap::new()": None, "false": False}
-        stated = expected[rust] if rust in expected else tomllib.loads(f"v = {rust}")["v"]
-        assert value == stated, key
+    merging = re.findall(
+        r"^            (\w+): ([\d.]+),$", rust_source("map/src/merge.rs"), re.MULTILINE
+    )
+    check_written(table, written("service/src/map/config.rs") | dict(merging))
 
 
 def test_client() -> None:

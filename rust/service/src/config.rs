@@ -31,103 +31,64 @@ use crate::config_error::ConfigError;
 /// # Ok::<(), egp_service::ConfigError>(())
 /// ```
 #[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, default)]
 pub struct ServiceConfig {
     /// The library file; a relative path starts at the folder of the configuration file.
     pub library: PathBuf,
     /// Further library files, for requests that state their hash. Default none.
-    #[serde(default)]
     pub libraries: Vec<PathBuf>,
     /// SHA-256 of the library, as 64 hexadecimal digits. If `library` does not hold it at the start, it is fetched from the
     /// replicas that the zenoh settings connect to, and replaces the file. Default: none.
-    #[serde(default)]
     pub fetch: Option<String>,
     /// Libraries that are served at a time, those included that a reload replaced. Default 4.
-    #[serde(default = "default_max_libraries")]
     pub max_libraries: usize,
     /// Time between looks at the library file, which is loaded again when it changed, ms. Default 0: only when the process
     /// gets SIGHUP.
-    #[serde(default)]
     pub watch_ms: u64,
     /// Name of this replica, unique among those the vehicles can reach. Default `main`.
-    #[serde(default = "default_replica")]
     pub replica: String,
     /// Threads that run control steps; steps with much to evaluate also use idle cores. Default: one for each core.
-    #[serde(default)]
     pub workers: Option<usize>,
     /// Vehicles that may wait at a time; requests of more get the error `overloaded`. Default 256.
-    #[serde(default = "default_queue")]
     pub queue: usize,
     /// Time between withdrawing the announcement and answering queries with an error while draining, ms. Default 50.
-    #[serde(default = "default_drain")]
     pub drain_ms: u64,
     /// Time between load reports, ms. Default 500.
-    #[serde(default = "default_load")]
     pub load_ms: u64,
     /// Address for `/health`, `/ready` and `/metrics` over HTTP, such as `127.0.0.1:9464`. Default: none.
-    #[serde(default, deserialize_with = "address")]
+    #[serde(deserialize_with = "address")]
     pub http: Option<SocketAddr>,
     /// What to log: a level, or directives such as `egp_service=debug,zenoh=warn`. By default it is the level info, and of
     /// zenoh only warnings and errors, without its warnings about single strangers, their queries, and attempts to connect.
-    #[serde(default = "default_log")]
     pub log: String,
     /// Whether each log line is a JSON object instead of text. Default false.
-    #[serde(default)]
     pub log_json: bool,
     /// File to which the spans of requests are appended, which `docs/deploying.md` describes. Default: none.
-    #[serde(default)]
     pub traces: Option<PathBuf>,
     /// Share of the traces that is written, from 0 to 1. Vehicles with the same share write the same traces. Default 1.
-    #[serde(default = "default_traces_share")]
     pub traces_share: f64,
     /// Settings of the control step.
-    #[serde(default)]
     pub settings: Settings,
     /// File with the secret keys of the vehicles, made by `egp keys`. With it, only requests that are sealed with their
     /// vehicle's key are answered.
-    #[serde(default)]
     pub vehicle_keys: Option<PathBuf>,
     /// File with the public keys of those who may sign libraries, made by `egp keys`. With it, a library is served only if
     /// the file beside it, with `.sig` behind its name, has a signature by one of the keys (`egp sign`).
-    #[serde(default)]
     pub library_keys: Option<PathBuf>,
     /// A zenoh JSON5 file that replaces this service's defaults.
-    #[serde(default)]
     pub zenoh_file: Option<PathBuf>,
     /// Single zenoh settings, key path to JSON5 value; they override the defaults or the file.
-    #[serde(default)]
     pub zenoh: BTreeMap<String, String>,
-}
-
-fn default_replica() -> String {
-    "main".to_owned()
-}
-
-fn default_max_libraries() -> usize {
-    4
-}
-
-fn default_queue() -> usize {
-    256
-}
-
-fn default_drain() -> u64 {
-    50
-}
-
-fn default_load() -> u64 {
-    500
 }
 
 /// The default filter of the log of both kinds of service.
 pub(crate) const DEFAULT_LOG: &str = "info,zenoh=warn,zenoh_link_tls=error,zenoh::net::routing::dispatcher::queries=error,zenoh::net::runtime::orchestrator=error";
 
-fn default_log() -> String {
-    DEFAULT_LOG.to_owned()
-}
-
-fn default_traces_share() -> f64 {
-    1.0
+/// The default values, with an empty path of the library.
+impl Default for ServiceConfig {
+    fn default() -> Self {
+        Self::new("")
+    }
 }
 
 impl ServiceConfig {
@@ -137,18 +98,18 @@ impl ServiceConfig {
             library: library.into(),
             libraries: Vec::new(),
             fetch: None,
-            max_libraries: default_max_libraries(),
+            max_libraries: 4,
             watch_ms: 0,
-            replica: default_replica(),
+            replica: "main".to_owned(),
             workers: None,
-            queue: default_queue(),
-            drain_ms: default_drain(),
-            load_ms: default_load(),
+            queue: 256,
+            drain_ms: 50,
+            load_ms: 500,
             http: None,
-            log: default_log(),
+            log: DEFAULT_LOG.to_owned(),
             log_json: false,
             traces: None,
-            traces_share: default_traces_share(),
+            traces_share: 1.0,
             settings: Settings::default(),
             vehicle_keys: None,
             library_keys: None,
@@ -186,6 +147,9 @@ impl ServiceConfig {
     /// [`ConfigError`] naming the key at fault.
     pub fn from_toml(text: &str) -> Result<Self, ConfigError> {
         let config: Self = toml::from_str(text)?;
+        if config.library.as_os_str().is_empty() {
+            return Err(ConfigError::Toml("missing field `library`".to_owned()));
+        }
         config.validate()?;
         Ok(config)
     }
