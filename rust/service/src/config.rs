@@ -141,6 +141,16 @@ impl ServiceConfig {
         Ok(Share::new(self.traces_share)?)
     }
 
+    /// The name of this replica.
+    ///
+    /// # Errors
+    /// [`ConfigError::Range`].
+    pub(crate) fn name(&self) -> Result<Name, ConfigError> {
+        let expected = "1 to 64 of A-Z a-z 0-9 . _ -";
+        let wrong = |_| ConfigError::range("replica", expected, &self.replica);
+        self.replica.parse().map_err(wrong)
+    }
+
     /// Reads and validates a configuration.
     ///
     /// # Errors
@@ -186,44 +196,51 @@ impl ServiceConfig {
     /// # Errors
     /// [`ConfigError::Range`], [`ConfigError::Share`] or [`ConfigError::Settings`] for the first one at fault.
     pub fn validate(&self) -> Result<(), ConfigError> {
-        let range = |field, expected, got: &dyn ToString| {
-            Err(ConfigError::Range {
-                field,
-                expected,
-                got: got.to_string(),
-            })
-        };
-        if self.replica.parse::<Name>().is_err() {
-            return range("replica", "1 to 64 of A-Z a-z 0-9 . _ -", &self.replica);
-        }
+        self.name()?;
         if let Some(workers) = self.workers.filter(|workers| !(1..=1024).contains(workers)) {
-            return range("workers", "from 1 to 1024", &workers);
+            return Err(ConfigError::range("workers", "from 1 to 1024", &workers));
         }
         if let Some(digits) = &self.fetch
             && library_id(digits).is_none()
         {
-            return range(
+            return Err(ConfigError::range(
                 "fetch",
                 "a SHA-256 as 64 hexadecimal digits, as `egp inspect` shows it",
                 digits,
-            );
+            ));
         }
         let (least, most) = (1 + self.libraries.len(), 1 + Ready::MAX_OTHERS);
         if !(least..=most).contains(&self.max_libraries) {
             let expected = "at least the number of library files, and at most 64";
-            return range("max_libraries", expected, &self.max_libraries);
+            return Err(ConfigError::range(
+                "max_libraries",
+                expected,
+                &self.max_libraries,
+            ));
         }
         if self.watch_ms != 0 && !(10..=3_600_000).contains(&self.watch_ms) {
-            return range("watch_ms", "0 or in 10..=3600000", &self.watch_ms);
+            return Err(ConfigError::range(
+                "watch_ms",
+                "0 or in 10..=3600000",
+                &self.watch_ms,
+            ));
         }
         if !(1..=100_000).contains(&self.queue) {
-            return range("queue", "from 1 to 100000", &self.queue);
+            return Err(ConfigError::range("queue", "from 1 to 100000", &self.queue));
         }
         if self.drain_ms > 60_000 {
-            return range("drain_ms", "at most 60000", &self.drain_ms);
+            return Err(ConfigError::range(
+                "drain_ms",
+                "at most 60000",
+                &self.drain_ms,
+            ));
         }
         if !(10..=3_600_000).contains(&self.load_ms) {
-            return range("load_ms", "in 10..=3600000", &self.load_ms);
+            return Err(ConfigError::range(
+                "load_ms",
+                "in 10..=3600000",
+                &self.load_ms,
+            ));
         }
         self.share()?;
         Ok(self.settings.validate()?)

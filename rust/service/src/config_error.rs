@@ -44,6 +44,17 @@ pub enum ConfigError {
     },
 }
 
+impl ConfigError {
+    /// The error about a value out of range.
+    pub(crate) fn range(field: &'static str, expected: &'static str, got: &dyn ToString) -> Self {
+        Self::Range {
+            field,
+            expected,
+            got: got.to_string(),
+        }
+    }
+}
+
 impl From<toml::de::Error> for ConfigError {
     fn from(error: toml::de::Error) -> Self {
         Self::Toml(shortened(&error.to_string()))

@@ -272,7 +272,7 @@ fn share<H: Handler>(
     }
     let described = handler.clone();
     let shared = Shared {
-        replica: config.replica.parse()?,
+        replica: config.name()?,
         metrics,
         describe: Box::new(move || described.describe()),
         workers,

@@ -4,7 +4,6 @@ use std::net::SocketAddr;
 
 use egp_session::NetworkError;
 use egp_trace::TraceError;
-use egp_wire::keys::NameError;
 use egp_wire::{KeyFileError, WireError};
 use thiserror::Error;
 
@@ -18,9 +17,6 @@ pub enum StartError {
     /// The configuration is out of range.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// The replica's name is not 1 to 64 of the characters `A-Z a-z 0-9 . _ -`.
-    #[error(transparent)]
-    Name(#[from] NameError),
     /// A library or the settings cannot be used.
     #[error(transparent)]
     Library(#[from] ReloadError),

@@ -85,36 +85,57 @@ impl MapConfig {
     /// # Errors
     /// [`ConfigError::Range`] for the first one at fault.
     pub fn validate(&self) -> Result<(), ConfigError> {
-        let range = |field, expected, got: &dyn ToString| {
-            Err(ConfigError::Range {
-                field,
-                expected,
-                got: got.to_string(),
-            })
-        };
         if !(1.0..=1e9).contains(&self.lifetime) {
-            return range("lifetime", "1 to 1e9 s", &self.lifetime);
+            return Err(ConfigError::range("lifetime", "1 to 1e9 s", &self.lifetime));
         }
         if !(1.0..=8.0).contains(&self.capacity) {
-            return range("capacity", "1 to 8 nats", &self.capacity);
+            return Err(ConfigError::range(
+                "capacity",
+                "1 to 8 nats",
+                &self.capacity,
+            ));
         }
         if !(1..=TILE_ORIGINS).contains(&self.vehicles) {
-            return range("vehicles", "from 1 to 64", &self.vehicles);
+            return Err(ConfigError::range(
+                "vehicles",
+                "from 1 to 64",
+                &self.vehicles,
+            ));
         }
         if !(1..=1_000_000).contains(&self.tiles) {
-            return range("tiles", "from 1 to 1000000", &self.tiles);
+            return Err(ConfigError::range(
+                "tiles",
+                "from 1 to 1000000",
+                &self.tiles,
+            ));
         }
         if !(1..=1_000_000).contains(&self.roads) {
-            return range("roads", "from 1 to 1000000", &self.roads);
+            return Err(ConfigError::range(
+                "roads",
+                "from 1 to 1000000",
+                &self.roads,
+            ));
         }
         if !(1..=10_000_000).contains(&self.contributions) {
-            return range("contributions", "from 1 to 10000000", &self.contributions);
+            return Err(ConfigError::range(
+                "contributions",
+                "from 1 to 10000000",
+                &self.contributions,
+            ));
         }
         if !(10..=3_600_000).contains(&self.publish_ms) {
-            return range("publish_ms", "in 10..=3600000", &self.publish_ms);
+            return Err(ConfigError::range(
+                "publish_ms",
+                "in 10..=3600000",
+                &self.publish_ms,
+            ));
         }
         if !(10..=3_600_000).contains(&self.save_ms) {
-            return range("save_ms", "in 10..=3600000", &self.save_ms);
+            return Err(ConfigError::range(
+                "save_ms",
+                "in 10..=3600000",
+                &self.save_ms,
+            ));
         }
         Ok(())
     }
