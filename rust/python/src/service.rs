@@ -304,7 +304,7 @@ pub fn fetch_library(
     library_keys: Option<PathBuf>,
     timeout: f64,
 ) -> PyResult<Option<String>> {
-    let id = egp_wire::library_keys::library_id(sha256).ok_or_else(|| {
+    let id = egp_wire::from_hex(sha256).ok_or_else(|| {
         InvalidArgumentError::raise(format!(
             "sha256: expected 64 hexadecimal digits, got {sha256:?}; `egp inspect` shows a library's"
         ))

@@ -10,7 +10,7 @@ use std::{
 use egp_core::Settings;
 use egp_engine::available_cores;
 use egp_trace::Share;
-use egp_wire::{LibraryId, Ready, keys::Name, library_keys::library_id, read_text};
+use egp_wire::{LibraryId, Ready, from_hex, keys::Name, read_text};
 use serde::Deserialize;
 use serde::de::{Deserializer, Error as _};
 
@@ -130,7 +130,7 @@ impl ServiceConfig {
 
     /// The library that is to be in the file before it is served, if the configuration states one.
     pub(crate) fn wanted(&self) -> Option<LibraryId> {
-        self.fetch.as_deref().and_then(library_id)
+        self.fetch.as_deref().and_then(from_hex)
     }
 
     /// The share of the traces that is written.
@@ -201,7 +201,7 @@ impl ServiceConfig {
             return Err(ConfigError::range("workers", "from 1 to 1024", &workers));
         }
         if let Some(digits) = &self.fetch
-            && library_id(digits).is_none()
+            && self.wanted().is_none()
         {
             return Err(ConfigError::range(
                 "fetch",

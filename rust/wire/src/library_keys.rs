@@ -40,17 +40,12 @@ pub(crate) fn parse(rest: &str) -> Option<(LibraryId, Option<u32>)> {
         Some((digits, part)) => (digits, Some(part)),
         None => (rest, None),
     };
-    let id = library_id(digits).filter(|id| hex(id) == digits)?;
+    let id = from_hex(digits).filter(|id| hex(id) == digits)?;
     let Some(text) = part else {
         return Some((id, None));
     };
     let part: u32 = text.parse().ok()?;
     (part.to_string() == text).then_some((id, Some(part)))
-}
-
-/// The SHA-256 that 64 hexadecimal digits state; none for another text.
-pub fn library_id(digits: &str) -> Option<LibraryId> {
-    from_hex(digits)
 }
 
 #[cfg(test)]
@@ -64,8 +59,6 @@ mod tests {
         let main: Name = "main".parse().unwrap();
         let id: LibraryId = std::array::from_fn(|byte| u8::try_from(7 * byte).unwrap());
         let digits = hex(&id);
-        assert_eq!(library_id(&digits), Some(id));
-        assert_eq!(library_id(&digits.to_uppercase()), Some(id));
         let key = library(&main, &id);
         assert_eq!(key, format!("egp/v1/r/main/library/{digits}"));
         assert_eq!(replica_of_library(&key), Some(main.clone()));
@@ -101,6 +94,5 @@ mod tests {
                 "{rest}"
             );
         }
-        assert_eq!(library_id("*"), None);
     }
 }
