@@ -17,7 +17,7 @@ pub fn from_hex<const N: usize>(digits: &str) -> Option<[u8; N]> {
 }
 
 /// The bytes as hexadecimal digits in lower case.
-pub(crate) fn hex(bytes: &[u8]) -> String {
+pub fn hex(bytes: &[u8]) -> String {
     let digit = |value: u8| char::from_digit(value.into(), 16).unwrap_or_default();
     bytes
         .iter()

@@ -49,7 +49,7 @@ pub use error::{Code, Invalid, WireError, code_name};
 pub use files::{read_regular, read_text};
 pub use friction::Friction;
 pub use header::Header;
-pub use hex::from_hex;
+pub use hex::{from_hex, hex};
 pub use library_file::LibraryFile;
 pub use library_keys::LIBRARY_PART_BYTES;
 pub use output::{print_line, print_notice};

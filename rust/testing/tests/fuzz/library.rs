@@ -1,8 +1,6 @@
 //! Library files that are sealed again after each edit, because otherwise only the check of the seal would be tested.
 
-use std::fmt::Write as _;
-
-use egp_core::library::encode;
+use egp_core::library::{encode, hex};
 use egp_core::{GpInput, Kernel, Library, VarianceScratch};
 use egp_testing::libraries;
 use sha2::{Digest, Sha256};
@@ -14,13 +12,6 @@ const DIGITS: usize = 64;
 
 /// The largest magnitude of each GP input in a request.
 const REQUESTED: GpInput = GpInput::new(150.0, 150.0, 50.0, 1.6, 1e6, 20.0);
-
-fn hex(digest: &[u8]) -> String {
-    digest.iter().fold(String::new(), |mut text, byte| {
-        write!(text, "{byte:02x}").unwrap();
-        text
-    })
-}
 
 /// The digits that seal a file written by [`encode`].
 fn seal_of(file: &[u8]) -> Vec<u8> {

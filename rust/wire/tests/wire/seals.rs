@@ -1,7 +1,7 @@
 //! Tags are HMAC-SHA-256 as documented, and belong to one question only.
 
 use egp_wire::keys::Name;
-use egp_wire::{KeyError, KeyRing, Seal, VehicleKey};
+use egp_wire::{KeyError, KeyRing, Seal, VehicleKey, hex};
 
 fn name(text: &str) -> Name {
     text.parse().unwrap()
@@ -15,14 +15,6 @@ fn key() -> VehicleKey {
     );
     let ring = KeyRing::parse(&text).unwrap();
     ring.get(&name("depot"), &name("car-7")).unwrap().clone()
-}
-
-fn hex(bytes: &[u8]) -> String {
-    let digit = |value: u8| char::from_digit(value.into(), 16).unwrap();
-    bytes
-        .iter()
-        .flat_map(|byte| [digit(byte >> 4), digit(byte & 15)])
-        .collect()
 }
 
 /// The expected tags come from Python's `hmac`; `tests/service/test_security.py` computes them again.
