@@ -10,6 +10,7 @@ use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::registry::Registry;
 
 use crate::background::Background;
+use crate::metrics::shown;
 use crate::network::Surroundings;
 
 /// Longest time between two looks at the links.
@@ -37,11 +38,9 @@ impl Links {
     /// Shows the number of links in a metric. `needed` tells whether no vehicle can reach the service without links, and
     /// `endpoints` where it connects.
     pub(crate) fn new(needed: bool, endpoints: Vec<String>, registry: &mut Registry) -> Self {
-        let count = Gauge::default();
         let help = "Sessions of zenoh that this one is connected to: routers, peers and clients";
-        registry.register("links", help, count.clone());
         Self {
-            count,
+            count: shown(registry, "links", help),
             before: AtomicI64::new(-1),
             needed,
             endpoints,

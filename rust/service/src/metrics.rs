@@ -11,7 +11,7 @@ use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::{Histogram, exponential_buckets};
-use prometheus_client::registry::{Registry, Unit};
+use prometheus_client::registry::{Metric, Registry, Unit};
 
 use crate::sync::atomic::{AtomicU32, Ordering};
 use crate::sync::{Mutex, PoisonError};
@@ -27,6 +27,17 @@ pub(crate) type Outcomes = Family<Outcome, Counter>;
 /// Counts one of these outcomes.
 pub(crate) fn count(counters: &Outcomes, outcome: &'static str) {
     counters.get_or_create(&Outcome { outcome }).inc();
+}
+
+/// A metric that starts at its default and is shown under this name.
+pub(crate) fn shown<M: Metric + Clone + Default>(
+    registry: &mut Registry,
+    name: &str,
+    help: &str,
+) -> M {
+    let metric = M::default();
+    registry.register(name, help, metric.clone());
+    metric
 }
 
 /// The OpenMetrics text of all metrics of a registry.
@@ -65,49 +76,33 @@ impl Metrics {
     pub(crate) fn new(libraries: &[LibraryId], workers: usize) -> Self {
         // The buckets begin at 0.1 ms, a step of two small members, and end at 0.4 s, which is longer than any control period.
         let seconds = || Histogram::new(exponential_buckets(1e-4, 2.0, 13));
-        let mut metrics = Self {
-            registry: Registry::with_prefix("egp"),
-            requests: Family::default(),
-            panics: Counter::default(),
-            step: seconds(),
-            queue: seconds(),
-            queued: Gauge::default(),
-            busy: Gauge::default(),
+        let mut registry = Registry::with_prefix("egp");
+        let all = &mut registry;
+        let requests = shown(all, "requests", "Requests by solver status or error code");
+        let panics = shown(all, "panics", "Control steps that panicked");
+        let (step, help) = (seconds(), "Decoding, control step and encoding");
+        all.register_with_unit("step", help, Unit::Seconds, step.clone());
+        let (queue, help) = (seconds(), "From arrival to a worker");
+        all.register_with_unit("queue", help, Unit::Seconds, queue.clone());
+        let queued = shown(all, "queued", "Vehicles that wait");
+        let busy = shown(all, "busy", "Workers that compute a step");
+        let count: Gauge = shown(all, "workers", "Workers");
+        count.set(i64::try_from(workers).unwrap_or(i64::MAX));
+        let metrics = Self {
+            requests,
+            panics,
+            step,
+            queue,
+            queued,
+            busy,
             step_us: AtomicU32::new(0),
-            libraries: Family::default(),
-            reloads: Family::default(),
-            offers: Family::default(),
-            key_reloads: Family::default(),
+            libraries: shown(all, "library_info", "The libraries served"),
+            reloads: shown(all, "reloads", "Reloads of the library file"),
+            offers: shown(all, "library_questions", "Questions for library files"),
+            key_reloads: shown(all, "key_reloads", "Reloads of the vehicles' keys"),
             spans: None,
+            registry,
         };
-        let registry = &mut metrics.registry;
-        registry.register(
-            "requests",
-            "Requests by solver status or error code",
-            metrics.requests.clone(),
-        );
-        registry.register(
-            "panics",
-            "Control steps that panicked",
-            metrics.panics.clone(),
-        );
-        let (help, histogram) = ("Decoding, control step and encoding", metrics.step.clone());
-        registry.register_with_unit("step", help, Unit::Seconds, histogram);
-        let (help, histogram) = ("From arrival to a worker", metrics.queue.clone());
-        registry.register_with_unit("queue", help, Unit::Seconds, histogram);
-        registry.register("queued", "Vehicles that wait", metrics.queued.clone());
-        registry.register("busy", "Workers that compute a step", metrics.busy.clone());
-        let all = Gauge::<i64>::default();
-        all.set(i64::try_from(workers).unwrap_or(i64::MAX));
-        registry.register("workers", "Workers", all);
-        let (help, family) = ("The libraries served", metrics.libraries.clone());
-        registry.register("library_info", help, family);
-        let (help, family) = ("Reloads of the library file", metrics.reloads.clone());
-        registry.register("reloads", help, family);
-        let (help, family) = ("Questions for library files", metrics.offers.clone());
-        registry.register("library_questions", help, family);
-        let (help, family) = ("Reloads of the vehicles' keys", metrics.key_reloads.clone());
-        registry.register("key_reloads", help, family);
         metrics.serve(libraries);
         metrics
     }
@@ -120,12 +115,8 @@ impl Metrics {
 
     /// Shows the counter of services with the name of this one.
     pub(crate) fn show_name_twice(&mut self) -> Counter {
-        let (help, twice) = (
-            "Questions of each minute that another service of this name answered, too",
-            Counter::default(),
-        );
-        self.registry.register("name_twice", help, twice.clone());
-        twice
+        let help = "Questions of each minute that another service of this name answered, too";
+        shown(&mut self.registry, "name_twice", help)
     }
 
     /// The registry, in which other modules register their metrics.
@@ -135,9 +126,8 @@ impl Metrics {
 
     /// Shows what becomes of spans.
     pub(crate) fn show_spans(&mut self, counts: Counts) {
-        let family = Outcomes::default();
         let help = "Spans of traces by what became of them";
-        self.registry.register("spans", help, family.clone());
+        let family = shown(&mut self.registry, "spans", help);
         self.spans = Some(Mutex::new((family, counts)));
     }
 

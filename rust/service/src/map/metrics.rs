@@ -4,7 +4,7 @@ use egp_wire::{Code, code_name};
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::registry::Registry;
 
-use crate::metrics::{Outcomes, count, text};
+use crate::metrics::{Outcomes, count, shown, text};
 
 /// Counters of queries and writings by outcome, and the size of the map.
 pub(crate) struct Metrics {
@@ -18,31 +18,20 @@ pub(crate) struct Metrics {
 
 impl Metrics {
     pub(crate) fn new() -> Self {
-        let mut metrics = Self {
-            registry: Registry::with_prefix("egp_map"),
-            queries: Outcomes::default(),
-            writes: Outcomes::default(),
-            contributions: Gauge::default(),
-            roads: Gauge::default(),
-            unsaved: Gauge::default(),
-        };
-        let registry = &mut metrics.registry;
-        registry.register(
-            "queries",
-            "Queries by kind or error code",
-            metrics.queries.clone(),
-        );
-        registry.register(
-            "contributions",
-            "Contributions kept",
-            metrics.contributions.clone(),
-        );
-        registry.register("roads", "Roads with contributions", metrics.roads.clone());
-        let help = "Writings of a road's file by outcome";
-        registry.register("writes", help, metrics.writes.clone());
-        let help = "Roads that changed since their files were written";
-        registry.register("unsaved_roads", help, metrics.unsaved.clone());
-        metrics
+        let mut registry = Registry::with_prefix("egp_map");
+        let all = &mut registry;
+        Self {
+            queries: shown(all, "queries", "Queries by kind or error code"),
+            contributions: shown(all, "contributions", "Contributions kept"),
+            roads: shown(all, "roads", "Roads with contributions"),
+            writes: shown(all, "writes", "Writings of a road's file by outcome"),
+            unsaved: shown(
+                all,
+                "unsaved_roads",
+                "Roads that changed since their files were written",
+            ),
+            registry,
+        }
     }
 
     /// The registry, in which other modules register their metrics.
