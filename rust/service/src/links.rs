@@ -6,12 +6,15 @@ use std::sync::mpsc::{self, RecvTimeoutError, Sender};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
+use egp_session::NetworkError;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::registry::Registry;
 
 use crate::background::Background;
+use crate::configuration::{connects_to, is_client};
+use crate::logging::show_lost;
 use crate::metrics::shown;
-use crate::network::Surroundings;
+use crate::network::{Config, Surroundings};
 
 /// Longest time between two looks at the links.
 pub(crate) const LOOK: Duration = Duration::from_millis(500);
@@ -35,6 +38,16 @@ pub(crate) struct Links {
 }
 
 impl Links {
+    /// The links of a session with this configuration, which its metrics show, beside the lines of the log that are lost.
+    ///
+    /// # Errors
+    /// [`NetworkError`] if the configuration lacks a value.
+    pub(crate) fn of(zenoh: &Config, registry: &mut Registry) -> Result<Arc<Self>, NetworkError> {
+        show_lost(registry);
+        let (needed, endpoints) = (is_client(zenoh)?, connects_to(zenoh)?);
+        Ok(Arc::new(Self::new(needed, endpoints, registry)))
+    }
+
     /// Shows the number of links in a metric. `needed` tells whether no vehicle can reach the service without links, and
     /// `endpoints` where it connects.
     pub(crate) fn new(needed: bool, endpoints: Vec<String>, registry: &mut Registry) -> Self {

@@ -13,7 +13,7 @@ use prometheus_client::metrics::counter::Counter;
 
 use crate::certificates;
 use crate::config::ServiceConfig;
-use crate::configuration::{SERVICE, configuration, connects_to, is_client};
+use crate::configuration::{SERVICE, configuration};
 use crate::fetch::{Fetched, Wanted};
 use crate::fetch_error::FetchError;
 use crate::guard::Guard;
@@ -23,7 +23,6 @@ use crate::intake::Shared;
 use crate::libraries::{Libraries, ReloadError};
 use crate::library_table::Reloaded;
 use crate::links::Links;
-use crate::logging::show_lost;
 use crate::metrics::Metrics;
 use crate::network::{Network, PATIENCE, Received};
 use crate::offer::{Asked, Offer, offer};
@@ -100,12 +99,7 @@ impl Server {
         let (offering, questions) = Offer::new();
         let mut metrics = Metrics::new(&handler.describe().libraries(), config.workers());
         let twice = metrics.show_name_twice();
-        show_lost(metrics.registry());
-        let links = Arc::new(Links::new(
-            is_client(&zenoh)?,
-            connects_to(&zenoh)?,
-            metrics.registry(),
-        ));
+        let links = Links::of(&zenoh, metrics.registry())?;
         let shared = share(config, handler, offering, end, metrics)?;
         let replica = shared.replica.clone();
         let serving = Arc::new(AtomicBool::new(false));

@@ -25,12 +25,12 @@ use super::store::{Road, Store};
 use super::writer::{Content, Writer, remove_unfinished, write};
 use crate::certificates;
 use crate::config_error::ConfigError;
-use crate::configuration::{Configured, MAP, configuration, connects_to, is_client, rehearse};
+use crate::configuration::{Configured, MAP, configuration, rehearse};
 use crate::descriptors::allow_all;
 use crate::heap;
 use crate::http::{HttpEndpoint, HttpListener};
 use crate::links::{Links, Watch, watch};
-use crate::logging::{FlushAtEnd, init_logging, log_filter, show_lost};
+use crate::logging::{FlushAtEnd, init_logging, log_filter};
 use crate::network::{Network, PATIENCE, Received};
 use crate::serve::ServiceSignals;
 use crate::start_error::StartError;
@@ -109,12 +109,7 @@ impl MapServer {
         }
         let (zenoh, end) = zenoh_settings(config)?;
         let mut intake = Intake::new();
-        show_lost(intake.metrics.registry());
-        let links = Arc::new(Links::new(
-            is_client(&zenoh)?,
-            connects_to(&zenoh)?,
-            intake.metrics.registry(),
-        ));
+        let links = Links::of(&zenoh, intake.metrics.registry())?;
         if let Some(end) = end {
             certificates::show(end, intake.metrics.registry());
         }
