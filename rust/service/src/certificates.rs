@@ -65,65 +65,67 @@ pub(crate) fn earliest_end(
         let Some(text) = value.as_str() else {
             continue;
         };
-        let path = !key.ends_with("_base64");
-        let named = if path {
-            format!("{key} {text}")
-        } else {
-            key.clone()
-        };
-        let content = if path {
-            read_regular(Path::new(text), LARGEST).map_err(|error| error.to_string())
-        } else {
-            decode(text)
-        };
-        let found = content.and_then(|content| certificates(&content));
-        let found = found.map_err(|reason| (named.clone(), reason))?;
-        let (first, last) = if key.contains("root_ca") {
-            (
-                found.iter().min_by_key(|one| one.begin),
-                found.iter().max_by_key(|one| one.end),
-            )
-        } else {
-            (found.first(), found.first())
-        };
-        let (Some(first), Some(last)) = (first, last) else {
-            return Err((named, "expected a certificate in PEM, got none".to_owned()));
-        };
-        if first.begin > now {
-            let reason = format!(
-                "the certificate is valid only from {}; check this machine's clock",
-                first.from
-            );
-            return Err((named, reason));
-        }
-        let end = last.end;
-        if end <= now {
-            let days = (now - end) / DAY;
-            let reason = format!(
-                "the certificate expired {} ago; renew it with `egp keys`",
-                in_days(days)
-            );
-            return Err((named, reason));
-        }
-        let owner = first.owner.as_deref().and_then(role_of);
-        if let (Some(owner), Some(role)) = (owner, role)
-            && owner != role
-            && !key.contains("root_ca")
-        {
-            let file = if role == VEHICLE {
-                "vehicles/FLEET@VEHICLE"
+        let end = end(key, text, now, role).map_err(|reason| {
+            let named = if key.ends_with("_base64") {
+                key.clone()
             } else {
-                role
+                format!("{key} {text}")
             };
-            let reason = format!(
-                "the certificate is that of the role {owner}, and this program has the role {role}; state the file \
-                 {file}.json5 of `egp keys`"
-            );
-            return Err((named, reason));
-        }
+            (named, reason)
+        })?;
         earliest = Some(earliest.map_or(end, |earliest: i64| earliest.min(end)));
     }
     Ok(earliest)
+}
+
+/// The end of the certificates of one setting, for [`earliest_end`], or the reason why they cannot be used.
+fn end(key: &str, text: &str, now: i64, role: Option<&str>) -> Result<i64, String> {
+    let content = if key.ends_with("_base64") {
+        decode(text)
+    } else {
+        read_regular(Path::new(text), LARGEST).map_err(|error| error.to_string())
+    };
+    let found = certificates(&content?)?;
+    let authorities = key.contains("root_ca");
+    let (first, last) = if authorities {
+        (
+            found.iter().min_by_key(|one| one.begin),
+            found.iter().max_by_key(|one| one.end),
+        )
+    } else {
+        (found.first(), found.first())
+    };
+    let (Some(first), Some(last)) = (first, last) else {
+        return Err("expected a certificate in PEM, got none".to_owned());
+    };
+    if first.begin > now {
+        return Err(format!(
+            "the certificate is valid only from {}; check this machine's clock",
+            first.from
+        ));
+    }
+    if last.end <= now {
+        return Err(format!(
+            "the certificate expired {} ago; renew it with `egp keys`",
+            in_days((now - last.end) / DAY)
+        ));
+    }
+    let owner = first.owner.as_deref().and_then(role_of);
+    if let (Some(owner), Some(role)) = (owner, role)
+        && owner != role
+        && !authorities
+    {
+        let file = if role == VEHICLE {
+            "vehicles/FLEET@VEHICLE"
+        } else {
+            role
+        };
+        return Err(format!(
+            "the certificate is that of the role {owner}, and this program has the role {role}; state the file \
+             {file}.json5 of `egp keys`"
+        ));
+    }
+    Ok(last.end)
 }
 
 /// The role for which `egp keys` writes a certificate with this name; none if it writes no such certificate.
