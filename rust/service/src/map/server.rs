@@ -101,12 +101,7 @@ impl MapServer {
     ) -> Result<Self, MapError> {
         config.validate()?;
         let started = Instant::now();
-        let mut store = Store::new(config.merge(), config.limits());
-        let lock = config.folder.as_deref().map(lock).transpose()?;
-        if let Some(folder) = &config.folder {
-            remove_unfinished(folder)?;
-            load(folder, &mut store, clocks(started))?;
-        }
+        let (store, lock) = stored(config, started)?;
         let (zenoh, end) = zenoh_settings(config)?;
         let mut intake = Intake::new();
         let links = Links::of(&zenoh, intake.metrics.registry())?;
@@ -197,6 +192,17 @@ impl Drop for MapServer {
             tracing::error!(%error, "map closed");
         }
     }
+}
+
+/// What the roads' files hold, and the lock that keeps other services from their folder, if there is one.
+fn stored(config: &MapConfig, started: Instant) -> Result<(Store, Option<File>), MapError> {
+    let mut store = Store::new(config.merge(), config.limits());
+    let lock = config.folder.as_deref().map(lock).transpose()?;
+    if let Some(folder) = &config.folder {
+        remove_unfinished(folder)?;
+        load(folder, &mut store, clocks(started))?;
+    }
+    Ok((store, lock))
 }
 
 /// The settings of zenoh, and when the first of their certificates expires, s since 1970, if they have some.
