@@ -2,6 +2,7 @@
 
 use serde::Deserialize;
 
+use crate::error::check_range;
 use crate::{Parameters, PlantError};
 
 /// Constant disturbances of one vehicle. All are zero by default, and zero has no effect.
@@ -40,32 +41,30 @@ impl Disturbances {
     /// Errors unless every value is within its range. `brake_bias` must leave each axle a share from 0 to 1.
     ///
     /// # Errors
-    /// [`PlantError::Disturbance`] with the first value out of range.
+    /// [`PlantError::OutOfRange`] with the first value out of range.
     pub(crate) fn validate(&self, parameters: &Parameters) -> Result<(), PlantError> {
         let [front, rear] = parameters.axles().map(|axle| axle.brake_share);
         for (name, unit, value, low, high) in [
-            ("load", "kg", self.load, 0.0, 1000.0),
-            ("load_x", "m", self.load_x, -3.0, 3.0),
-            ("load_y", "m", self.load_y, -1.0, 1.0),
-            ("wear_front", "of 1", self.wear_front, 0.0, 0.9),
-            ("wear_rear", "of 1", self.wear_rear, 0.0, 0.9),
-            ("brake_bias", "of 1", self.brake_bias, -front, rear),
-            ("brake_pull", "of 1", self.brake_pull, -1.0, 1.0),
-            ("wind_x", "m/s", self.wind_x, -60.0, 60.0),
-            ("wind_y", "m/s", self.wind_y, -60.0, 60.0),
-            ("wind_arm", "m", self.wind_arm, -2.0, 2.0),
-            ("grade", "rad", self.grade, -0.5, 0.5),
-            ("bank", "rad", self.bank, -0.7, 0.7),
+            ("disturbance load", "kg", self.load, 0.0, 1000.0),
+            ("disturbance load_x", "m", self.load_x, -3.0, 3.0),
+            ("disturbance load_y", "m", self.load_y, -1.0, 1.0),
+            ("disturbance wear_front", "of 1", self.wear_front, 0.0, 0.9),
+            ("disturbance wear_rear", "of 1", self.wear_rear, 0.0, 0.9),
+            (
+                "disturbance brake_bias",
+                "of 1",
+                self.brake_bias,
+                -front,
+                rear,
+            ),
+            ("disturbance brake_pull", "of 1", self.brake_pull, -1.0, 1.0),
+            ("disturbance wind_x", "m/s", self.wind_x, -60.0, 60.0),
+            ("disturbance wind_y", "m/s", self.wind_y, -60.0, 60.0),
+            ("disturbance wind_arm", "m", self.wind_arm, -2.0, 2.0),
+            ("disturbance grade", "rad", self.grade, -0.5, 0.5),
+            ("disturbance bank", "rad", self.bank, -0.7, 0.7),
         ] {
-            if !(low..=high).contains(&value) {
-                return Err(PlantError::Disturbance {
-                    name,
-                    unit,
-                    low,
-                    high,
-                    value,
-                });
-            }
+            check_range(name, unit, value, (low, high))?;
         }
         Ok(())
     }

@@ -29,27 +29,13 @@ pub enum PlantError {
     /// A surface for which the tyre has no force law.
     #[error(transparent)]
     Surface(#[from] SurfaceError),
-    /// A disturbance out of its range.
-    #[error("expected the disturbance {name} from {low} to {high} {unit}, got {value}")]
-    Disturbance {
-        /// The field of [`crate::Disturbances`].
-        name: &'static str,
-        /// Its unit.
-        unit: &'static str,
-        /// Smallest value.
-        low: f64,
-        /// Largest value.
-        high: f64,
-        /// The given value.
-        value: f64,
-    },
     /// A negative speed, for which the tyre equations do not hold.
     #[error("expected a forward speed v_x >= 0, got {0} m/s; the vehicle only drives forward")]
     Backward(f64),
-    /// A state outside the range of measured states.
+    /// A state outside the range of measured states, or a disturbance out of its range.
     #[error("expected {name} from {low} to {high} {unit}, got {value}: check its unit")]
     OutOfRange {
-        /// Name of the state.
+        /// Name of the number.
         name: &'static str,
         /// Its unit.
         unit: &'static str,

@@ -43,7 +43,7 @@ impl Plant {
     /// not roll backward, and at walking speed neither wind nor bank move it sideways.
     ///
     /// # Errors
-    /// [`PlantError::Disturbance`] if a value is out of its range. The disturbances are then unchanged.
+    /// [`PlantError::OutOfRange`] if a value is out of its range. The disturbances are then unchanged.
     pub fn disturb(&mut self, disturbances: &Disturbances) -> Result<(), PlantError> {
         disturbances.validate(&self.parameters)?;
         self.effects = Effects::new(&self.parameters, disturbances);

@@ -377,7 +377,7 @@ fn a_disturbance_out_of_range_is_an_error_and_changes_nothing() {
     ] {
         let error = plant.disturb(&disturbances).unwrap_err();
         assert!(
-            matches!(error, PlantError::Disturbance { name, .. } if name == field),
+            matches!(error, PlantError::OutOfRange { name, .. } if name == format!("disturbance {field}")),
             "{error}"
         );
     }
