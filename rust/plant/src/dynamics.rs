@@ -1,6 +1,6 @@
 //! The right-hand side of the 29 differential equations.
 
-use crate::axle::{AxleModel, Suspension, spun};
+use crate::axle::{AxleModel, Road, Suspension, spun};
 use crate::effects::Effects;
 use crate::state::{AxleState, Body, NX, StateVector, WHEELS};
 use crate::{Disturbances, Parameters, PlantError, Surface};
@@ -100,35 +100,61 @@ pub(crate) fn disturbed_derivative(
     f[12] = effects.gravity[2] - (lift * cos_roll - joints * sin_roll) / effects.sprung_mass;
 
     for (i, model) in axles.iter().enumerate() {
-        let (axle, state, at) = (model.axle, model.state, 13 + 5 * i);
-        let (suspension, road, spring) = (&suspension[i], &road[i], springs[i]);
-        f[at] = state.roll_rate;
-        f[at + 1] = model.unsprung_roll_moment(suspension, road) / axle.roll_inertia;
-        f[at + 2] = (road.y - suspension.joint * cos_roll - spring * sin_roll) / axle.unsprung_mass
-            - centripetal
-            + effects.gravity[1];
-        f[at + 3] = state.v_z;
-        let lift = road.load[0] + road.load[1] + suspension.joint * sin_roll - spring * cos_roll;
-        f[at + 4] = effects.gravity[2] - lift / axle.unsprung_mass;
-
-        let (share, side) = if acceleration > 0.0 {
-            (axle.drive_share, [1.0; 2])
-        } else {
-            (effects.brake_share[i], effects.brake_side)
-        };
-        let torque = 0.5 * share * parameters.mass * parameters.wheel.radius * acceleration;
-        for w in 0..2 {
-            // A locked wheel does not turn backward.
-            f[WHEELS.start + 2 * i + w] = if state.spin[w] < 0.0 {
-                0.0
-            } else {
-                (side[w] * torque - parameters.wheel.radius * road.tyre[w].x)
-                    / parameters.wheel.inertia
-            };
-        }
+        let (suspension, road, at) = (&suspension[i], &road[i], 13 + 5 * i);
+        let motion = unsprung(effects, model, suspension, road, (sin_roll, cos_roll));
+        f[at..at + 5].copy_from_slice(&motion);
+        f[at + 2] = f[at + 2] - centripetal + effects.gravity[1];
+        let at = WHEELS.start + 2 * i;
+        f[at..at + 2].copy_from_slice(&spins(effects, i, model, road, acceleration));
         f[27 + i] = suspension.joint_rate;
     }
     Ok(f)
+}
+
+/// Slopes of an axle's roll, lateral motion and heave, without the centripetal acceleration and the gravity across the road.
+/// The last argument is sine and cosine of the body's roll.
+fn unsprung(
+    effects: &Effects,
+    model: &AxleModel,
+    suspension: &Suspension,
+    road: &Road,
+    (sin_roll, cos_roll): (f64, f64),
+) -> [f64; 5] {
+    let (axle, state) = (model.axle, model.state);
+    let spring = suspension.spring[0] + suspension.spring[1];
+    let lift = road.load[0] + road.load[1] + suspension.joint * sin_roll - spring * cos_roll;
+    [
+        state.roll_rate,
+        model.unsprung_roll_moment(suspension, road) / axle.roll_inertia,
+        (road.y - suspension.joint * cos_roll - spring * sin_roll) / axle.unsprung_mass,
+        state.v_z,
+        effects.gravity[2] - lift / axle.unsprung_mass,
+    ]
+}
+
+/// Angular accelerations of the wheels of axle `i`, rad/s², at this acceleration of the drive or the brakes, m/s².
+fn spins(
+    effects: &Effects,
+    i: usize,
+    model: &AxleModel,
+    road: &Road,
+    acceleration: f64,
+) -> [f64; 2] {
+    let (parameters, spin) = (model.vehicle, model.state.spin);
+    let (share, side) = if acceleration > 0.0 {
+        (model.axle.drive_share, [1.0; 2])
+    } else {
+        (effects.brake_share[i], effects.brake_side)
+    };
+    let torque = 0.5 * share * parameters.mass * parameters.wheel.radius * acceleration;
+    [0, 1].map(|w| {
+        // A locked wheel does not turn backward.
+        if spin[w] < 0.0 {
+            0.0
+        } else {
+            (side[w] * torque - parameters.wheel.radius * road.tyre[w].x) / parameters.wheel.inertia
+        }
+    })
 }
 
 /// Lateral acceleration of the sprung mass, m/s², as measured by an accelerometer in the body, which does not feel
