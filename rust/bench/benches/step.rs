@@ -158,7 +158,7 @@ fn members(c: &mut Criterion) {
 fn phases(c: &mut Criterion, library: &Library) {
     let settings = settings();
     let weights = [0.4, 0.6];
-    let ensemble = Ensemble::new(library, &weights).unwrap();
+    let ensemble = Ensemble::new(library, &weights);
     let (x0, u_prev) = (
         State::from([0.0, 0.0, 13.0, 0.0, 0.02, 0.1, 0.03]),
         Input::new(300.0, 0.05),

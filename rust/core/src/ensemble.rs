@@ -6,22 +6,6 @@ use crate::library::{Library, Member};
 use crate::vehicle::Batch;
 use crate::{GpInput, GpJacobian, GpOutput};
 
-/// Weights that do not define an ensemble.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum EnsembleError {
-    /// The number of weights differs from the number of members.
-    #[error("expected {expected} weights, one for each member, got {found}")]
-    WeightCount {
-        /// Number of members.
-        expected: usize,
-        /// Number of weights.
-        found: usize,
-    },
-    /// The sum of the weights is NaN or not positive.
-    #[error("the weights have no positive sum, so that no member is active")]
-    NoActiveMember,
-}
-
 /// The members with a positive weight, with their weights.
 #[derive(Clone, Copy, Debug)]
 pub struct Ensemble<'a> {
@@ -31,27 +15,9 @@ pub struct Ensemble<'a> {
 }
 
 impl<'a> Ensemble<'a> {
-    /// An ensemble of the members with a positive weight. Weights must lie on the simplex.
-    ///
-    /// # Errors
-    /// [`EnsembleError::WeightCount`], [`EnsembleError::NoActiveMember`].
-    pub fn new(library: &'a Library, weights: &'a [f64]) -> Result<Self, EnsembleError> {
-        let members = library.members();
-        if weights.len() != members.len() {
-            return Err(EnsembleError::WeightCount {
-                expected: members.len(),
-                found: weights.len(),
-            });
-        }
-        let sum: f64 = weights.iter().sum();
-        if sum.is_nan() || sum <= 0.0 {
-            return Err(EnsembleError::NoActiveMember);
-        }
-        Ok(Self::of(library, weights))
-    }
-
-    /// As [`Ensemble::new`], for weights that are known to lie on the simplex and to be one for each member.
-    pub(crate) fn of(library: &'a Library, weights: &'a [f64]) -> Self {
+    /// An ensemble of the members with a positive weight. Weights must lie on the simplex, one for each member; further ones are
+    /// not used.
+    pub fn new(library: &'a Library, weights: &'a [f64]) -> Self {
         Self {
             members: library.members(),
             vehicles: library.vehicles(),

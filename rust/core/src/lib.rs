@@ -28,7 +28,7 @@ mod simd;
 use nalgebra::{SMatrix, SVector};
 
 pub use egp_parameters::{MOST_FORCE, ParameterError, VehicleParameters};
-pub use ensemble::{Ensemble, EnsembleError, MixtureScratch};
+pub use ensemble::{Ensemble, MixtureScratch};
 pub use executor::{Executor, Sequential};
 pub use friction::FrictionEstimate;
 pub use gp::VarianceScratch;

@@ -27,7 +27,7 @@ pub(super) fn ensembles<'a>(
     library: &'a Library,
     stages: &'a StageWeights,
 ) -> impl Fn(usize) -> Ensemble<'a> {
-    |t: usize| Ensemble::of(library, stages.stage(t))
+    |t: usize| Ensemble::new(library, stages.stage(t))
 }
 
 /// Linearises about the guess and solves the QP. While the window of the weights fills, it repeats both about the plan that it

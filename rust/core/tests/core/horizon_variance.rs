@@ -51,7 +51,7 @@ fn check(library: &Library, curves: u32) -> f64 {
         } else {
             [share, 1.0 - share]
         };
-        let ensemble = Ensemble::new(library, &weights).unwrap();
+        let ensemble = Ensemble::new(library, &weights);
         let z = curve(library, &mut rng);
         let mut bounds = [GpOutput::zeros(); 20];
         Ensemble::mixture_bounds(|_| ensemble, &z, &mut horizon, &mut bounds, &Sequential);
@@ -89,7 +89,7 @@ fn at_training_points_and_far_from_all() {
     let spec = libraries::spec(Kernel::Rbf, &[0.5, 1.1], 120, 1);
     let library = libraries::library(Kernel::Rbf, &[0.5, 1.1], 120, 1);
     let weights = [0.4, 0.6];
-    let ensemble = Ensemble::new(&library, &weights).unwrap();
+    let ensemble = Ensemble::new(&library, &weights);
     let mut horizon = MixtureScratch::default();
     // Repeated stages have a singular prior covariance.
     let mut z: Vec<GpInput> = spec.members[0].inputs[..9]
@@ -113,7 +113,7 @@ fn at_training_points_and_far_from_all() {
 #[test]
 fn the_bits_do_not_depend_on_earlier_contents_of_the_memory() {
     let library = demo();
-    let ensemble = Ensemble::new(&library, &[0.4, 0.6]).unwrap();
+    let ensemble = Ensemble::new(&library, &[0.4, 0.6]);
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     let (first, second) = (curve(&library, &mut rng), curve(&library, &mut rng));
     let bounds = |z: &[GpInput], scratch: &mut MixtureScratch| {

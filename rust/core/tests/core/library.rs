@@ -112,7 +112,7 @@ fn a_vehicle_alone_is_a_member_whose_variance_is_its_noise() {
         assert!(noise.min() > 0.0);
         let mut scratch = VarianceScratch::default();
         let (one, both) = ([1.0, 0.0], [0.4, 0.6]);
-        let alone = Ensemble::new(&library, &one).unwrap();
+        let alone = Ensemble::new(&library, &one);
         for z in &golden {
             assert_eq!(member.mean(z), vehicle.change(z));
             assert_eq!(alone.mean(z), vehicle.change(z));
@@ -120,7 +120,7 @@ fn a_vehicle_alone_is_a_member_whose_variance_is_its_noise() {
             assert_eq!(variance(library.members(), &one, z), noise);
         }
         // Beside a member with GPs its variance over a horizon is bounded like that of any member.
-        let mixed = Ensemble::new(&library, &both).unwrap();
+        let mixed = Ensemble::new(&library, &both);
         for (ensemble, weights) in [(alone, one), (mixed, both)] {
             let mut bounds = vec![GpOutput::zeros(); golden.len()];
             let mut memory = MixtureScratch::default();
