@@ -1,41 +1,13 @@
 //! The error about an argument of a belief that is out of range, and the checks that return it.
 
 use egp_parameters::LEAST_LOG_LIKELIHOOD;
+pub use egp_parameters::OutOfRange as BeliefError;
+pub(crate) use egp_parameters::range::check;
 
 /// Largest arc length, m.
 const FARTHEST: f64 = 1e9;
 /// Longest stretch to plan for, m.
 const AHEAD: f64 = 1e4;
-
-/// An argument of a belief that is out of range.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("expected {expected} for {name}, got {value}")]
-pub struct BeliefError {
-    /// Name of the argument.
-    pub name: &'static str,
-    /// Accepted values.
-    pub expected: &'static str,
-    /// The value given.
-    pub value: f64,
-}
-
-/// Errors unless `accept` returns true.
-pub(crate) fn check(
-    name: &'static str,
-    value: f64,
-    expected: &'static str,
-    accept: impl Fn(f64) -> bool,
-) -> Result<(), BeliefError> {
-    if accept(value) {
-        Ok(())
-    } else {
-        Err(BeliefError {
-            name,
-            expected,
-            value,
-        })
-    }
-}
 
 /// Errors unless `value` is an arc length whose cell can be counted.
 pub(crate) fn place(name: &'static str, value: f64) -> Result<(), BeliefError> {

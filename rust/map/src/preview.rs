@@ -16,11 +16,8 @@ impl RoadBelief {
     /// right number of rows.
     pub fn preview(&mut self, places: &[f64], out: &mut [[f64; 2]]) -> Result<(), BeliefError> {
         let [start, .., end] = *places else {
-            return Err(BeliefError {
-                name: "the number of places",
-                expected: "at least 2",
-                value: places.len() as f64,
-            });
+            let count = places.len() as f64;
+            return check("the number of places", count, "at least 2", |_| false);
         };
         place("places", start)?;
         let rows = places.len() as f64 + 1.0;

@@ -6,6 +6,7 @@
 mod commonroad;
 mod domain;
 mod friction;
+pub mod range;
 mod surface;
 mod vehicle;
 
@@ -17,6 +18,7 @@ pub use friction::{
     FRICTION_HYPOTHESES, FRICTION_INFORMED, FRICTION_RANGE, LEAST_LOG_LIKELIHOOD,
     friction_hypotheses, interpolate_hypotheses,
 };
+pub use range::OutOfRange;
 pub use surface::{ForceCurve, Surface, SurfaceError};
 pub use vehicle::{FULL_SIZE, MIN_SLIP_SPEED, ParameterError, VehicleParameters, slip_speed};
 

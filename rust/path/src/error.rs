@@ -1,6 +1,7 @@
 //! Errors of paths, profiles and references.
 
-use egp_parameters::SurfaceError;
+pub(crate) use egp_parameters::range::check;
+use egp_parameters::{OutOfRange, SurfaceError};
 use thiserror::Error;
 
 /// An invalid input; the message gives the expected and the given value and its location.
@@ -78,15 +79,8 @@ pub enum PathError {
         got: usize,
     },
     /// A parameter outside its range.
-    #[error("expected {expected} for {name}, got {value}")]
-    Parameter {
-        /// Name of the parameter.
-        name: &'static str,
-        /// The accepted range.
-        expected: &'static str,
-        /// The given value.
-        value: f64,
-    },
+    #[error(transparent)]
+    Parameter(#[from] OutOfRange),
     /// A speed profile of a path with another curve.
     #[error("the profile belongs to another path")]
     ForeignProfile,
@@ -112,22 +106,4 @@ pub enum PathError {
         /// Mean absolute error when psi is measured from +y.
         from_y: f64,
     },
-}
-
-/// Errors unless `value` is finite and `accept` returns true.
-pub(crate) fn check(
-    name: &'static str,
-    value: f64,
-    expected: &'static str,
-    accept: impl Fn(f64) -> bool,
-) -> Result<(), PathError> {
-    if value.is_finite() && accept(value) {
-        Ok(())
-    } else {
-        Err(PathError::Parameter {
-            name,
-            expected,
-            value,
-        })
-    }
 }

@@ -116,11 +116,7 @@ impl SpeedLimits {
         ] {
             match speed {
                 Some(value) if closed => {
-                    return Err(PathError::Parameter {
-                        name,
-                        expected: "nothing on a closed path",
-                        value,
-                    });
+                    check(name, value, "nothing on a closed path", |_| false)?;
                 }
                 Some(value) => check(name, value, "a speed from 0 to 10000 m/s", |v| {
                     (0.0..=*SPEEDS.end()).contains(&v)

@@ -43,11 +43,8 @@ impl SpeedPlanner {
         const BETWEEN: usize = 4;
         limits.check(path.closed())?;
         if let Some(value) = limits.start_speed {
-            return Err(PathError::Parameter {
-                name: "start_speed",
-                expected: "no value (a plan begins at the vehicle)",
-                value,
-            });
+            let expected = "no value (a plan begins at the vehicle)";
+            check("start_speed", value, expected, |_| false)?;
         }
         check(
             "the path's length",

@@ -4,6 +4,7 @@ use std::fmt::Display;
 use std::io::ErrorKind;
 use std::path::PathBuf;
 
+use egp_parameters::OutOfRange;
 use egp_path::formats::read_track;
 use egp_path::tracks::{
     Corner, DoubleLaneChange, LShape, LaneChanges, RandomTrack, RoundedRectangle,
@@ -182,7 +183,9 @@ impl Path {
         py.detach(|| read_track(&text, scale, closed))
             .map(Self)
             .map_err(|error| match error {
-                PathError::Parameter { name: "scale", .. } => InvalidArgumentError::raise(error),
+                PathError::Parameter(OutOfRange { name: "scale", .. }) => {
+                    InvalidArgumentError::raise(error)
+                }
                 _ => refuse(&error),
             })
     }

@@ -2,8 +2,10 @@
 
 use std::f64::consts::FRAC_PI_2;
 
+use egp_parameters::OutOfRange;
+
 use super::{SPACING, check_length};
-use crate::error::{PathError, check};
+use crate::error::check;
 
 /// A turn by 90°: clothoid, arc, clothoid, so that curvature is continuous.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -24,7 +26,7 @@ impl Default for Corner {
 }
 
 impl Corner {
-    pub(super) fn check(&self) -> Result<(), PathError> {
+    pub(super) fn check(&self) -> Result<(), OutOfRange> {
         check_length("radius", self.radius)?;
         check(
             "transition",

@@ -4,7 +4,7 @@
 
 use std::f64::consts::{PI, TAU};
 
-use egp_parameters::{STANDARD_GRAVITY, VehicleParameters};
+use egp_parameters::{OutOfRange, STANDARD_GRAVITY, VehicleParameters};
 use egp_path::tracks::{Corner, RoundedRectangle};
 use egp_path::{
     HorizonRows, Path, PathError, Projection, ReferenceStart, SpeedLimits, SpeedPlanner,
@@ -136,11 +136,11 @@ fn errors_name_the_invalid_argument() {
     };
     assert!(matches!(
         ask(&path, f64::NAN, DT),
-        PathError::Parameter { name: "p_x", .. }
+        PathError::Parameter(OutOfRange { name: "p_x", .. })
     ));
     assert!(matches!(
         ask(&path, 0.0, 0.0),
-        PathError::Parameter { name: "dt", .. }
+        PathError::Parameter(OutOfRange { name: "dt", .. })
     ));
     assert_eq!(ask(&other, 0.0, DT), PathError::ForeignProfile);
 }

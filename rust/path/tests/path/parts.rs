@@ -1,7 +1,7 @@
 //! Paths made of their parts, as a stored path is.
 #![allow(clippy::unwrap_used)]
 
-use egp_parameters::Surface;
+use egp_parameters::{OutOfRange, Surface};
 use egp_path::tracks::RoundedRectangle;
 use egp_path::{
     HorizonRows, Path, PathError, PathParts, ReferenceStart, SpeedProfile, Zone, horizon_reference,
@@ -43,7 +43,7 @@ fn parts_of_which_no_path_consists_are_an_error() {
         Path::from_parts(parts).unwrap_err()
     };
     let named = |error: PathError| match error {
-        PathError::Parameter { name, .. } => name,
+        PathError::Parameter(OutOfRange { name, .. }) => name,
         PathError::NotFinite { what, .. } => what,
         _ => "",
     };

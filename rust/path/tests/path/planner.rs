@@ -1,7 +1,7 @@
 //! Plans of the speed ahead.
 #![allow(clippy::unwrap_used)]
 
-use egp_parameters::{STANDARD_GRAVITY, VehicleParameters};
+use egp_parameters::{OutOfRange, STANDARD_GRAVITY, VehicleParameters};
 use egp_path::tracks::{Corner, RoundedRectangle};
 use egp_path::{
     HorizonRows, Path, PathError, ReferenceStart, SpeedLimits, SpeedPlanner, SpeedProfile,
@@ -282,10 +282,10 @@ fn numbers_out_of_range_are_errors() {
     for path in [&path, &open] {
         assert!(matches!(
             SpeedPlanner::new(path, &start),
-            Err(PathError::Parameter {
+            Err(PathError::Parameter(OutOfRange {
                 name: "start_speed",
                 ..
-            })
+            }))
         ));
     }
 }

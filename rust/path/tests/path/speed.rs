@@ -4,7 +4,7 @@
 
 use std::f64::consts::TAU;
 
-use egp_parameters::VehicleParameters;
+use egp_parameters::{OutOfRange, VehicleParameters};
 use egp_path::tracks::RoundedRectangle;
 use egp_path::{Path, PathError, SpeedLimits, SpeedProfile, Zone};
 use proptest::prelude::*;
@@ -181,7 +181,7 @@ fn bends_ask_for_at_most_a_share_of_what_the_tyres_transmit() {
 fn errors_name_the_invalid_limit() {
     let reject = |path: &Path, limits: SpeedLimits| SpeedProfile::new(path, &limits).unwrap_err();
     let name = |error: PathError| match error {
-        PathError::Parameter { name, .. } => name,
+        PathError::Parameter(OutOfRange { name, .. }) => name,
         other => panic!("{other}"),
     };
     let default = car();
