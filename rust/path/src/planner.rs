@@ -101,22 +101,8 @@ impl SpeedPlanner {
         (s / self.step).floor() * self.step
     }
 
-    /// The fastest speed from `s` on, by a backward pass for braking and a forward pass for driving from the present speed
-    /// `v`, which the plan has half a step behind the vehicle. Where the vehicle is too fast for what lies ahead, the plan
-    /// brakes with all grip. At the last place the vehicle can still brake for the bends beyond it, as far as it brakes from
-    /// the highest speed on a straight, and for the end of an open path, on the friction of this place.
-    ///
-    /// `friction` has the friction coefficient to plan for at each place, [`Self::step`] m apart from [`Self::start`]
-    /// on. Without a present speed the plan begins with the largest one.
-    ///
-    /// # Errors
-    /// [`PathError`] unless `s` is finite, `v` is within ±10000 m/s, and `friction` has [`Self::places`] positive numbers.
-    pub fn plan(
-        &mut self,
-        s: f64,
-        v: Option<f64>,
-        friction: &[f64],
-    ) -> Result<&SpeedProfile, PathError> {
+    /// Checks the arguments of [`Self::plan`].
+    fn check_plan(&self, s: f64, v: Option<f64>, friction: &[f64]) -> Result<(), PathError> {
         check("s", s, "a finite arc length", |_| true)?;
         check(
             "v",
@@ -133,6 +119,26 @@ impl SpeedPlanner {
         for mu in friction {
             check("friction", *mu, "a positive number", |mu| mu > 0.0)?;
         }
+        Ok(())
+    }
+
+    /// The fastest speed from `s` on, by a backward pass for braking and a forward pass for driving from the present speed
+    /// `v`, which the plan has half a step behind the vehicle. Where the vehicle is too fast for what lies ahead, the plan
+    /// brakes with all grip. At the last place the vehicle can still brake for the bends beyond it, as far as it brakes from
+    /// the highest speed on a straight, and for the end of an open path, on the friction of this place.
+    ///
+    /// `friction` has the friction coefficient to plan for at each place, [`Self::step`] m apart from [`Self::start`]
+    /// on. Without a present speed the plan begins with the largest one.
+    ///
+    /// # Errors
+    /// [`PathError`] unless `s` is finite, `v` is within ±10000 m/s, and `friction` has [`Self::places`] positive numbers.
+    pub fn plan(
+        &mut self,
+        s: f64,
+        v: Option<f64>,
+        friction: &[f64],
+    ) -> Result<&SpeedProfile, PathError> {
+        self.check_plan(s, v, friction)?;
         let first = (s / self.step).floor();
         let Self {
             limits,
@@ -142,30 +148,22 @@ impl SpeedPlanner {
             knots,
             profile,
         } = self;
-        let on_lap = first.rem_euclid(curvature.len() as f64) as usize;
-        for (i, (knot, mu)) in knots.iter_mut().zip(friction).enumerate() {
-            let index = first + i as f64;
-            let curvature = if *closed {
-                curvature[(on_lap + i) % curvature.len()]
-            } else if index < 0.0 {
-                0.0
-            } else {
-                curvature.get(index as usize).copied().unwrap_or(0.0)
-            };
-            *knot = Knot::new(curvature, *mu, limits);
-        }
-        let end = limits.end_speed.map(|speed| {
-            let end = curvature.len() as f64 - 1.0 - first;
-            (end.max(0.0) as usize, speed * speed)
-        });
-        let beyond = Beyond {
+        let road = Road {
             limits,
             closed: *closed,
             curvature: &*curvature,
             step: *step,
         };
+        let at = road.curvatures(first);
+        for (i, (knot, mu)) in knots.iter_mut().zip(friction).enumerate() {
+            *knot = Knot::new(at(i), *mu, limits);
+        }
+        let end = limits.end_speed.map(|speed| {
+            let end = curvature.len() as f64 - 1.0 - first;
+            (end.max(0.0) as usize, speed * speed)
+        });
         let last = first + (friction.len() - 1) as f64;
-        let at_last = beyond.square(last, friction[friction.len() - 1]);
+        let at_last = road.square(last, friction[friction.len() - 1]);
         profile.refill(first * *step, |squares| {
             for (square, knot) in squares.iter_mut().zip(&*knots) {
                 *square = knot.cornering(limits);
@@ -223,8 +221,8 @@ fn sharpest(path: &Path) -> f64 {
         .fold(0.0, f64::max)
 }
 
-/// The road beyond the last place of a plan.
-struct Beyond<'a> {
+/// The road at the places of a plan and beyond the last one.
+struct Road<'a> {
     limits: &'a SpeedLimits,
     closed: bool,
     /// Largest absolute curvature at each knot of the path, 1/m.
@@ -232,7 +230,24 @@ struct Beyond<'a> {
     step: f64,
 }
 
-impl Beyond<'_> {
+impl Road<'_> {
+    /// Largest absolute curvature at the knots from `first` on, 1/m; 0 beyond the ends of an open path.
+    fn curvatures(&self, first: f64) -> impl Fn(usize) -> f64 {
+        let knots = self.curvature.len();
+        let on_lap = first.rem_euclid(knots as f64) as usize;
+        move |ahead| {
+            if self.closed {
+                return self.curvature[(on_lap + ahead) % knots];
+            }
+            let index = first + ahead as f64;
+            if index < 0.0 {
+                0.0
+            } else {
+                self.curvature.get(index as usize).copied().unwrap_or(0.0)
+            }
+        }
+    }
+
     /// The largest `v²` at the knot `last` that braking on friction `mu` allows for the bends beyond it and the end speed of
     /// an open path, by the backward pass of a plan over the braking distance of the highest speed.
     fn square(&self, last: f64, mu: f64) -> f64 {
@@ -243,18 +258,8 @@ impl Beyond<'_> {
         // No place of a closed path is more than a lap ahead, and none of an open one beyond its end.
         let longest = if self.closed { knots } else { end.max(0.0) };
         let ahead = (fastest / gained).ceil().min(longest) as usize;
-        let on_lap = last.rem_euclid(knots) as usize;
-        let knot = |ahead: usize| {
-            let index = last + ahead as f64;
-            let curvature = if self.closed {
-                self.curvature[(on_lap + ahead) % self.curvature.len()]
-            } else if index < 0.0 {
-                0.0
-            } else {
-                self.curvature.get(index as usize).copied().unwrap_or(0.0)
-            };
-            straight.in_bend(curvature)
-        };
+        let curvature = self.curvatures(last);
+        let knot = |ahead: usize| straight.in_bend(curvature(ahead));
         let mut next = knot(ahead);
         let mut square = next.cornering(self.limits);
         if let Some(speed) = self.limits.end_speed
