@@ -82,21 +82,13 @@ impl RoadBelief {
         Ok(serialize([(TENSOR, view)], Some(metadata))?)
     }
 
-    /// Adds the evidence of a belief about the same road, from the bytes of [`Self::to_bytes`].
+    /// Adds the evidence of a belief about the same road, from the bytes of [`Self::to_bytes`]. Its logarithms are multiplied by
+    /// what [`MergeSettings::remaining`] gives with the default settings for the age `age` in s.
     ///
     /// # Errors
     /// [`StoredBeliefError`] if the bytes are no stored belief, are damaged, or are about another road; the belief is
     /// then unchanged.
-    pub fn recall(&mut self, bytes: &[u8]) -> Result<(), StoredBeliefError> {
-        self.recall_aged(bytes, 0.0)
-    }
-
-    /// Adds evidence like [`Self::recall`], with its logarithms multiplied by what [`MergeSettings::remaining`] gives with the
-    /// default settings for the age `age` in s.
-    ///
-    /// # Errors
-    /// Those of [`Self::recall`].
-    pub fn recall_aged(&mut self, bytes: &[u8], age: f64) -> Result<(), StoredBeliefError> {
+    pub fn recall(&mut self, bytes: &[u8], age: f64) -> Result<(), StoredBeliefError> {
         let remaining = MergeSettings::default().remaining(age);
         let content = |text: &str| StoredBeliefError::Content(text.to_owned());
         let (_, header) = SafeTensors::read_metadata(bytes)?;

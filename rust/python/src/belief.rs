@@ -120,7 +120,7 @@ impl RoadBelief {
     #[pyo3(signature = (data, age = 0.0))]
     fn recall(&mut self, data: &[u8], age: f64) -> PyResult<()> {
         check_age(age)?;
-        self.0.recall_aged(data, age).map_err(raise)
+        self.0.recall(data, age).map_err(raise)
     }
 
     #[doc = doc!(RoadBelief.to_bytes)]

@@ -189,7 +189,7 @@ fn a_stored_belief_is_the_same_belief() {
     belief.leave();
     let bytes = belief.to_bytes().unwrap();
     let mut again = self::belief();
-    again.recall(&bytes).unwrap();
+    again.recall(&bytes, 0.0).unwrap();
     assert_eq!(again.to_bytes().unwrap(), bytes);
     assert_eq!(quantiles(&mut again, 333.0), quantiles(&mut belief, 333.0));
 }
@@ -202,7 +202,7 @@ fn bytes_that_are_no_belief_about_this_road_are_errors_and_change_nothing() {
     let refused = |bytes: &[u8], length: f64, closed: bool| {
         let mut other = RoadBelief::new(length, closed).unwrap();
         let before = other.to_bytes().unwrap();
-        let error = other.recall(bytes).unwrap_err().to_string();
+        let error = other.recall(bytes, 0.0).unwrap_err().to_string();
         assert_eq!(other.to_bytes().unwrap(), before);
         error
     };
@@ -233,10 +233,10 @@ fn a_road_of_the_same_length_with_another_course_is_another_road() {
     let mut stored = lap(125.0);
     drive(&mut stored, 0.0, 100.0, |_| Some(evidence(0.5)));
     let bytes = stored.to_bytes().unwrap();
-    lap(125.2).recall(&bytes).unwrap();
-    let told = lap(110.0).recall(&bytes).unwrap_err().to_string();
+    lap(125.2).recall(&bytes, 0.0).unwrap();
+    let told = lap(110.0).recall(&bytes, 0.0).unwrap_err().to_string();
     assert!(told.contains("another road of 500.0 m: 125 m from the start, that one is 15.0 m"));
-    let told = belief().recall(&bytes).unwrap_err().to_string();
+    let told = belief().recall(&bytes, 0.0).unwrap_err().to_string();
     assert!(told.contains("expected 0 coordinates of its road, got 8"));
 }
 

@@ -156,7 +156,7 @@ fn stored_evidence_ages_like_reports() {
     let lifetime = MergeSettings::default().lifetime;
     for age in [0.0, lifetime, 20.0 * lifetime] {
         let mut recalled = belief();
-        recalled.recall_aged(&stored, age).unwrap();
+        recalled.recall(&stored, age).unwrap();
         let reported = merged(&[(&driven.tile(0).unwrap(), age)]);
         let recalled = strength(&recalled.to_bytes().unwrap());
         assert!((recalled - largest(&reported)).abs() < 0.04, "{age}");
@@ -176,7 +176,7 @@ fn what_was_recalled_is_used_and_not_given_to_others() {
     let mut driven = belief();
     drive(&mut driven, 0.0, 10.0 * LENGTH / SPEED, 0.3);
     let (mut later, mut without) = (belief(), belief());
-    later.recall(&driven.to_bytes().unwrap()).unwrap();
+    later.recall(&driven.to_bytes().unwrap(), 0.0).unwrap();
     assert!(later.quantile(0.5 * LENGTH, 0.5).unwrap() < 0.35);
     assert!(later.take_changed().is_empty() && later.tile(0).unwrap().is_empty());
     for belief in [&mut later, &mut without] {

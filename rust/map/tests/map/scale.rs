@@ -55,9 +55,9 @@ fn a_vehicle_that_was_moved_on_a_small_road_is_noticed_at_a_shorter_distance() {
 fn beliefs_of_another_scale_exchange_no_files_and_say_so() {
     let stored = small().to_bytes().unwrap();
     let mut other = RoadBelief::new(SCALE * LENGTH, true).unwrap();
-    let told = other.recall(&stored).unwrap_err().to_string();
+    let told = other.recall(&stored, 0.0).unwrap_err().to_string();
     assert!(told.contains("another scale"), "{told}");
-    small().recall(&stored).unwrap();
+    small().recall(&stored, 0.0).unwrap();
 }
 
 #[test]
@@ -82,7 +82,7 @@ fn another_scale_makes_a_belief_without_what_was_recalled() {
     let stored = belief().to_bytes().unwrap();
     let mut scaled = belief();
     scaled.set_window(2).unwrap();
-    scaled.recall(&stored).unwrap();
+    scaled.recall(&stored, 0.0).unwrap();
     let mut scaled = scaled.with_scale(SCALE).unwrap();
     assert_eq!(scaled.window(), 2);
     for s in [496.0, 497.0, 498.0, 499.0] {

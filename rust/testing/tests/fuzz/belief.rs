@@ -27,7 +27,7 @@ fn what_is_recalled_can_be_planned_for() {
     fuzz!([example()], Words::Doubles, |bytes: Vec<u8>| {
         let mut belief = road();
         let before = belief.to_bytes().unwrap();
-        if belief.recall(&bytes).is_err() {
+        if belief.recall(&bytes, 0.0).is_err() {
             assert_eq!(belief.to_bytes().unwrap(), before);
             return;
         }
@@ -43,7 +43,7 @@ fn what_is_recalled_can_be_planned_for() {
 #[test]
 fn an_accepted_tile_can_be_merged_and_reported() {
     let mut belief = road();
-    belief.recall(&example()).unwrap();
+    belief.recall(&example(), 0.0).unwrap();
     let tile = belief.tile(0).unwrap();
     fuzz!([tile.bytes().to_vec()], Words::Doubles, |bytes: Vec<u8>| {
         let Ok(tile) = Tile::from_bytes(&bytes) else {
