@@ -42,26 +42,22 @@ impl ResidualSettings {
     /// # Errors
     /// [`SettingsError::Range`] naming the first field out of range.
     pub fn validate(&self) -> Result<(), SettingsError> {
-        for std in self.std {
-            check("residual.std", std, "in [0, 100]", WeightSettings::is_noise)?;
-        }
-        for time in self.time {
-            check("residual.time", time, "in [0.001, 10000] s", |v| {
+        type Row = (&'static str, [f64; NY], &'static str, fn(f64) -> bool);
+        let (std, noise) = ("in [0, 100]", WeightSettings::is_noise);
+        let rows: [Row; 4] = [
+            ("residual.std", self.std, std, noise),
+            ("residual.time", self.time, "in [0.001, 10000] s", |v| {
                 (1e-3..=1e4).contains(&v)
-            })?;
-        }
-        for noise in self.noise {
-            check("residual.noise", noise, "in [1e-9, 100]", |v| {
+            }),
+            ("residual.noise", self.noise, "in [1e-9, 100]", |v| {
                 (1e-9..=100.0).contains(&v)
-            })?;
-        }
-        for std in self.measurement {
-            check(
-                "residual.measurement",
-                std,
-                "in [0, 100]",
-                WeightSettings::is_noise,
-            )?;
+            }),
+            ("residual.measurement", self.measurement, std, noise),
+        ];
+        for (field, values, expected, accept) in rows {
+            for value in values {
+                check(field, value, expected, accept)?;
+            }
         }
         Ok(())
     }
