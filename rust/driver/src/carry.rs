@@ -3,8 +3,8 @@
 use std::collections::VecDeque;
 
 use egp_wire::{
-    GpInput, GpOutput, Input, Invalid, LibraryId, Predictions, ReferenceRow, Reply, Request, State,
-    Status, WidthRow,
+    GpInput, GpOutput, Input, LibraryId, Predictions, ReferenceRow, Reply, Request, State, Status,
+    WidthRow,
 };
 
 /// One measured transition and, once a reply brought them, the members' predictions of it.
@@ -152,31 +152,14 @@ impl Carry {
         self.x = None;
     }
 
-    /// Takes over what a reply brings. Returns whether it was newer than the last one taken.
+    /// Takes over what a reply brings, which must answer a request of this carry. Returns whether it was newer than the last one
+    /// taken.
     ///
     /// Weights and predictions count whatever the solver's status; a plan comes only with
     /// [`Status::Solved`], and until then the previous one stays and ages.
-    ///
-    /// # Errors
-    /// [`Invalid::Field`] for a reply of another library or to a request never made; the carry stays.
-    pub fn accept(&mut self, reply: &Reply) -> Result<bool, Invalid> {
-        if reply.library != self.library {
-            return Err(Invalid::field(
-                "library",
-                "the reply comes from another library",
-            ));
-        }
-        if reply.sequence > self.sequence {
-            return Err(Invalid::field(
-                "sequence",
-                format!(
-                    "reply {} is ahead of request {}",
-                    reply.sequence, self.sequence
-                ),
-            ));
-        }
+    pub fn accept(&mut self, reply: &Reply) -> bool {
         if reply.sequence <= self.accepted {
-            return Ok(false);
+            return false;
         }
         self.accepted = reply.sequence;
         self.weights.clone_from(&reply.weights);
@@ -195,7 +178,7 @@ impl Carry {
                 u: reply.plan_u.clone(),
             });
         }
-        Ok(true)
+        true
     }
 
     /// Discards history, weights and plan, for instance after the vehicle was moved. Sequence numbers go on, and the input

@@ -273,7 +273,7 @@ impl Driver {
 
     /// Hands a usable reply to carry and gate, which ignore what is older than what they hold.
     pub(super) fn accept(&mut self, reply: &Reply) {
-        if self.carry.accept(reply) == Ok(true) && !reply.plan_u.is_empty() {
+        if self.carry.accept(reply) && !reply.plan_u.is_empty() {
             // A gate in STOP takes no plan; its command says so.
             let _ = self.gate.accept(reply.sequence, &reply.plan_u);
         }

@@ -71,13 +71,13 @@ fn predictions_stay_with_their_transition_when_replies_are_lost_or_late() {
     let second = period(&mut carry, 11.0, 0.0);
     let third = period(&mut carry, 12.0, 0.0);
     // The reply to the second comes a period late: it knows one of the two transitions.
-    assert!(carry.accept(&answer(&second, Status::Solved, 2.0)).unwrap());
+    assert!(carry.accept(&answer(&second, Status::Solved, 2.0)));
     let fourth = period(&mut carry, 13.0, 0.0);
     assert_eq!((fourth.history_z.len(), fourth.history_f.len()), (3, 1));
     assert_eq!(fourth.plan_shift, 2);
-    assert!(carry.accept(&answer(&fourth, Status::Solved, 4.0)).unwrap());
+    assert!(carry.accept(&answer(&fourth, Status::Solved, 4.0)));
     // One that comes after its successor brings nothing.
-    assert!(!carry.accept(&answer(&third, Status::Solved, 3.0)).unwrap());
+    assert!(!carry.accept(&answer(&third, Status::Solved, 3.0)));
     let fifth = period(&mut carry, 14.0, 0.0);
     assert_eq!((fifth.history_z.len(), fifth.history_f.len()), (4, 3));
     assert_eq!(fifth.history_f.values[0], [4.0; 3]);
@@ -88,13 +88,11 @@ fn predictions_stay_with_their_transition_when_replies_are_lost_or_late() {
 fn an_unsolved_reply_brings_weights_and_leaves_the_plan_to_age_out() {
     let mut carry = Carry::new(LIBRARY, 2);
     let first = period(&mut carry, 10.0, 0.0);
-    carry.accept(&answer(&first, Status::Solved, 0.0)).unwrap();
+    carry.accept(&answer(&first, Status::Solved, 0.0));
     for shift in 1..4 {
         let request = period(&mut carry, 10.0, 0.0);
         assert_eq!((request.plan_shift, request.plan_u.len()), (shift, HORIZON));
-        carry
-            .accept(&answer(&request, Status::Infeasible, 0.0))
-            .unwrap();
+        carry.accept(&answer(&request, Status::Infeasible, 0.0));
     }
     let request = period(&mut carry, 10.0, 0.0);
     assert_eq!((request.plan_shift, request.plan_u.len()), (0, 0));
@@ -102,29 +100,13 @@ fn an_unsolved_reply_brings_weights_and_leaves_the_plan_to_age_out() {
 }
 
 #[test]
-fn foreign_replies_are_refused_and_reset_forgets() {
+fn a_reset_forgets() {
     let mut carry = Carry::new(LIBRARY, 2);
     let first = period(&mut carry, 10.0, 100.0);
     let reply = answer(&first, Status::Solved, 0.0);
-    assert!(
-        carry
-            .accept(&Reply {
-                library: [0; 32],
-                ..reply.clone()
-            })
-            .is_err()
-    );
-    assert!(
-        carry
-            .accept(&Reply {
-                sequence: 9,
-                ..reply.clone()
-            })
-            .is_err()
-    );
     carry.reset();
     assert!(
-        !carry.accept(&reply).unwrap(),
+        !carry.accept(&reply),
         "a reply from before the reset is stale"
     );
     let next = period(&mut carry, 10.0, 0.0);
@@ -171,7 +153,7 @@ fn weights_are_given_until_a_reply_brings_others() {
     carry.start_from(vec![1.0, 0.0]);
     let first = period(&mut carry, 10.0, 0.0);
     assert_eq!(first.weights, [1.0, 0.0]);
-    carry.accept(&answer(&first, Status::Solved, 0.0)).unwrap();
+    carry.accept(&answer(&first, Status::Solved, 0.0));
     assert_eq!(carry.weights(), [0.5, 0.5]);
     carry.hold_weights(vec![0.0, 1.0]);
     for _ in 0..2 {
@@ -185,11 +167,11 @@ fn predictions_of_another_number_of_members_are_not_mixed() {
     let mut carry = Carry::new(LIBRARY, 4);
     period(&mut carry, 10.0, 0.0);
     let second = period(&mut carry, 11.0, 0.0);
-    carry.accept(&answer(&second, Status::Solved, 2.0)).unwrap();
+    carry.accept(&answer(&second, Status::Solved, 2.0));
     let third = period(&mut carry, 12.0, 0.0);
     let mut three = answer(&third, Status::Solved, 3.0);
     three.history_f = Predictions::new(3, vec![[3.0; 3]; 3]);
-    carry.accept(&three).unwrap();
+    carry.accept(&three);
     // The newer of the two transitions now has three predictions, the older one two.
     let fourth = period(&mut carry, 13.0, 0.0);
     assert_eq!((fourth.history_f.members, fourth.history_f.len()), (2, 1));
@@ -203,7 +185,7 @@ fn a_plan_of_another_horizon_is_discarded() {
     let mut short = answer(&first, Status::Solved, 0.0);
     short.plan_x.pop();
     short.plan_u.pop();
-    carry.accept(&short).unwrap();
+    carry.accept(&short);
     let second = period(&mut carry, 10.0, 0.0);
     assert!(second.plan_x.is_empty() && second.plan_u.is_empty());
 }
