@@ -133,8 +133,6 @@ class RoadBelief:
             InvalidArgumentError: unless `index` is below `tiles`.
 
         """
-    def take_changed(self) -> list[int]:
-        """Return the tiles whose evidence changed since the last call."""
     def report(self, index: int, tile: bytes) -> None:
         """Use what other vehicles reported about a tile, in place of earlier reports about it.
 

@@ -199,11 +199,6 @@ impl RoadBelief {
         Ok(tile.bytes().to_vec().into())
     }
 
-    #[doc = doc!(RoadBelief.take_changed)]
-    fn take_changed(&mut self) -> Vec<usize> {
-        self.0.take_changed()
-    }
-
     #[doc = doc!(RoadBelief.report)]
     fn report(&mut self, index: usize, tile: &[u8]) -> PyResult<()> {
         let tile = Tile::from_bytes(tile).map_err(raise)?;
