@@ -360,7 +360,8 @@ fn borrow(request: &Request) -> StepRequest<'_> {
     }
 }
 
-fn status(status: egp_core::Status) -> Status {
+/// The outcome of a control step as messages state it.
+pub fn status(status: egp_core::Status) -> Status {
     match status {
         egp_core::Status::Solved => Status::Solved,
         egp_core::Status::IterationLimit => Status::IterationLimit,

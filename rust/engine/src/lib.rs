@@ -10,6 +10,6 @@ mod file;
 mod sync;
 
 pub use cores::available_cores;
-pub use engine::{Engine, EngineWorkspace, unknown_library};
+pub use engine::{Engine, EngineWorkspace, status, unknown_library};
 pub use error::EngineError;
 pub use file::read_library;

@@ -5,7 +5,8 @@ use std::time::Instant;
 use egp_core::settings::{Prior, SolverKind, SolverSettings};
 use egp_core::solver::{solve_with_fallback, solvers};
 use egp_core::weights::{WeightEstimator, WindowNoise};
-use egp_core::{GpOutput, Input, NU, NX, NY, OcpSolution, Status};
+use egp_core::{GpOutput, Input, NU, NX, NY, OcpSolution};
+use egp_wire::status_name;
 use pyo3::prelude::*;
 use serde::Deserialize as _;
 use serde::de::IntoDeserializer as _;
@@ -140,7 +141,7 @@ pub fn result(
     let x = flat(&mut solution.x.iter().flat_map(|x| x.iter().copied()));
     let u = flat(&mut solution.u.iter().flat_map(|u| u.iter().copied()));
     Ok(OcpResult {
-        status: name(solution.status),
+        status: status_name(egp_engine::status(solution.status)),
         x: array(py, x, [solution.x.len(), NX])?.unbind(),
         u: array(py, u, [solution.u.len(), NU])?.unbind(),
         iterations: solution.iterations,
@@ -148,16 +149,6 @@ pub fn result(
         solver,
         seconds,
     })
-}
-
-fn name(status: Status) -> &'static str {
-    match status {
-        Status::Solved => "solved",
-        Status::IterationLimit => "iteration_limit",
-        Status::Infeasible => "infeasible",
-        Status::NumericalError => "numerical_error",
-        Status::CheckFailed => "check_failed",
-    }
 }
 
 #[doc = doc!(solve_weights)]
