@@ -181,7 +181,32 @@ pub fn solve_weights<'py>(
             predictions.as_array().shape(),
         ));
     }
-    let prior = match prior {
+    let prior = checked_prior(prior, strength)?;
+    let predictions: Vec<f64> = predictions.as_array().iter().copied().collect();
+    check_domains(&predictions, &measured, [&noise, &state_noise], &previous)?;
+    let mut w = vec![0.0; previous.len()];
+    py.detach(|| {
+        WeightEstimator::new(previous.len(), measured.len()).estimate(
+            &predictions,
+            &measured,
+            &WindowNoise::new(&noise, &state_noise, measured.len()),
+            prior,
+            &previous,
+            &mut w,
+        )
+    });
+    let squares = errors_squared(&predictions, &measured, &noise);
+    if !squares.is_finite() || !w.iter().all(|w| w.is_finite()) {
+        return Err(InvalidArgumentError::new_err(
+            "the squares of the errors over noise_std are too large for a number: check the units",
+        ));
+    }
+    Ok(vector(py, w))
+}
+
+/// The prior of the weights with this name and strength.
+fn checked_prior(name: &str, strength: f64) -> PyResult<Prior> {
+    let prior = match name {
         "quadratic" => Prior::Quadratic { lambda: strength },
         "l1" => Prior::L1 { alpha: strength },
         other => {
@@ -195,7 +220,17 @@ pub fn solve_weights<'py>(
             "strength must be a number from 0 to {MOST_STRENGTH:e}, got {strength}"
         )));
     }
-    let predictions: Vec<f64> = predictions.as_array().iter().copied().collect();
+    Ok(prior)
+}
+
+/// Errors unless the numbers of [`solve_weights`] are in their domains; the standard deviations are those of the errors of the
+/// predictions and of the measured states.
+fn check_domains(
+    predictions: &[f64],
+    measured: &[[f64; NY]],
+    [noise, state_noise]: [&GpOutput; 2],
+    previous: &[f64],
+) -> PyResult<()> {
     let mut numbers = predictions.iter().chain(measured.as_flattened());
     let sum: f64 = previous.iter().sum();
     // Within these bounds the squares of the standard deviations are finite, and those of `noise_std` are not zero.
@@ -222,24 +257,7 @@ pub fn solve_weights<'py>(
             return Err(InvalidArgumentError::new_err(message));
         }
     }
-    let mut w = vec![0.0; previous.len()];
-    py.detach(|| {
-        WeightEstimator::new(previous.len(), measured.len()).estimate(
-            &predictions,
-            &measured,
-            &WindowNoise::new(&noise, &state_noise, measured.len()),
-            prior,
-            &previous,
-            &mut w,
-        )
-    });
-    let squares = errors_squared(&predictions, &measured, &noise);
-    if !squares.is_finite() || !w.iter().all(|w| w.is_finite()) {
-        return Err(InvalidArgumentError::new_err(
-            "the squares of the errors over noise_std are too large for a number: check the units",
-        ));
-    }
-    Ok(vector(py, w))
+    Ok(())
 }
 
 /// Sum of the squares of all errors, in standard deviations of the noise. Predictions are ordered by transition and member.
