@@ -67,7 +67,7 @@ def with_library(trial: Trial, path: Path) -> Trial:
         pytest.param(
             "5%",
             marks=pytest.mark.xfail(
-                reason="plans at 5 % assume 0.40 at most, and 3 of 20 vehicles are lost on 0.25",
+                reason="plans at 5 % assume 0.40 at most, and 4 of 20 vehicles do not arrive",
                 strict=True,
                 raises=AssertionError,
             ),

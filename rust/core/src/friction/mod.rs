@@ -35,8 +35,7 @@ use crate::{GpInput, GpOutput, Library, NY, NZ};
 /// Magnitude of the largest logarithm from which the sum of densities may lose digits, become zero or overflow.
 const EXTREME: f64 = 600.0;
 /// Temperature of the likelihood. It is below 1 because the members' errors over all their data are larger than those of most
-/// windows. With 0.88 the 90 % interval contains the true value in 88 to 92 % of the informed windows of four sets of roads, with 1
-/// in 90 to 93 % (`tests/bench/calibration.py`).
+/// windows. `tests/bench/calibration.py` tells how often the 90 % interval contains the true value.
 const TEMPERATURE: f64 = 0.88;
 /// Largest misfit that is stated.
 const MOST_MISFIT: f64 = 1e9;
