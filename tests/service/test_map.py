@@ -180,7 +180,7 @@ def test_hostile_input_is_refused_and_the_service_goes_on() -> None:
             session.put("egp/v1/@map/default/ring", random.bytes(100))
             assert fleet.fetch()
             assert set(fleet.origins) == {"liar"}
-            assert belief.trust == pytest.approx(1.0 / 3.0)
+            assert belief.trust == pytest.approx(0.5)
             time.sleep(1.1)
             fleet.exchange()
         for _ in range(300):  # a flood of one vehicle

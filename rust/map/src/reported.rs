@@ -5,9 +5,9 @@ use std::collections::VecDeque;
 use crate::grid::{Grid, Row, to_probabilities};
 use crate::tile::{TILE_CELLS, Tile};
 
-/// Logarithm of the odds that reports describe the road before anything was measured: 1 to 2. With larger odds more vehicles
+/// Logarithm of the odds that reports describe the road before anything was measured: 1 to 1. With larger odds more vehicles
 /// leave the road at the start on a map that is wrong; with smaller ones they start more slowly on one that is right.
-const INITIAL_LOG_ODDS: f64 = -std::f64::consts::LN_2;
+const INITIAL_LOG_ODDS: f64 = 0.0;
 /// Largest magnitude of the logarithm of the odds that earlier windows leave: ln 99, a probability of 0.99. With it one
 /// informed window can contradict the reports. The odds for them with the newest window have the same upper bound.
 const MOST_LOG_ODDS: f64 = 4.595_119_850_134_59;
