@@ -43,7 +43,7 @@ fn an_accepted_track_is_a_lap_with_edges() {
     fuzz!(5 * TIME, [centre_line, raceline], WORDS, |bytes: Vec<
         u8,
     >| {
-        let closed = bytes.len() % 2 == 0;
+        let closed = bytes.len().is_multiple_of(2);
         let Ok(path) = read_track(&String::from_utf8_lossy(&bytes), 1.0, closed) else {
             return;
         };
