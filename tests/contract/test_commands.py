@@ -15,7 +15,7 @@ import pytest
 from typer.main import get_command
 from typer.testing import CliRunner
 
-from egp_service import Controller, EgpError, Library, Plant, Recorder, shipped
+from egp_service import Controller, EgpError, Library, Plant, shipped
 from egp_service import Path as Road
 from egp_service._core import SETTINGS_DOCUMENT
 from egp_service.cli import app
@@ -165,12 +165,6 @@ def test_requests_of_a_recording_are_written_behind_their_lengths() -> None:
     lengths = [b"\x01", b"\x7f", b"\x80\x01", b"\xa1\x9c\x01"]
     joined = b"".join(length + request for length, request in zip(lengths, requests, strict=True))
     assert file.getvalue() == joined
-
-
-def test_a_recording_without_steps_is_no_load(tmp_path: Path) -> None:
-    with Controller(shipped.DEMO_LIBRARY, gate=Plant().parameters.gate_limits()) as controller:
-        Recorder(tmp_path / "run.mcap", controller).close()
-    assert "has no step to replay" in failure("load", "--replay", str(tmp_path))
 
 
 def test_a_port_in_use_and_a_wrong_endpoint_are_named() -> None:

@@ -238,6 +238,12 @@ def test_the_recording_of_another_program_can_be_replayed(
     assert (read.dt, read.horizon) == (controller.dt, controller.horizon)
 
 
+def test_a_recording_without_steps_is_no_load(tmp_path: Path, controller: Controller) -> None:
+    Recorder(tmp_path / "run.mcap", controller).close()
+    result = CliRunner().invoke(app, ["load", "--replay", str(tmp_path)])
+    assert "has no step to replay" in str(result.exception)
+
+
 @pytest.mark.parametrize(
     ("key", "value", "told"),
     [

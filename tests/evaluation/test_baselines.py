@@ -12,8 +12,8 @@ from egp_service import EgpError
 from egp_service._core import Library, Plant, VehicleParameters, slip_speed
 from egp_service.evaluation import baselines
 from egp_service.shipped import EVALUATION_LIBRARY
-from egp_service.training import prior_mean
 from egp_service.training.euler import euler_steps
+from egp_service.training.prior_mean import PriorMean
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -40,7 +40,7 @@ def test_fitted_vehicles_keep_all_but_the_gps(tmp_path: Path) -> None:
         np.testing.assert_array_equal(member.noise_std, origin.noise_std)
         np.testing.assert_array_equal(member.envelope, origin.envelope)
         mean, _, variance = library.predict(Z, index)
-        expected = prior_mean.predict(Z, origin.single_track, library.dt, 1)
+        expected = PriorMean(origin.single_track, 1).predict(Z, library.dt)
         np.testing.assert_allclose(mean, expected, atol=1e-13)
         assert not variance.any()
 
@@ -56,7 +56,7 @@ def test_a_model_car_has_the_same_slip_in_both_languages(
     z = np.array([[v_x, 0.2, 0.5, 0.1, 5.0, 0.4] for v_x in (0.8, 1.5, 2.5, 4.0)])
     assert slip_speed(0.33) == pytest.approx(1.22, abs=0.01)
     steps = euler_steps(member.single_track, library.dt)
-    expected = prior_mean.predict(z, member.single_track, library.dt, steps)
+    expected = PriorMean(member.single_track, steps).predict(z, library.dt)
     np.testing.assert_allclose(library.predict(z)[0], expected, atol=1e-12)
 
 

@@ -17,7 +17,7 @@ from egp_service import EgpError
 from egp_service._core import Library
 from egp_service.cli.tables import kind_sentence, skill_warnings
 from egp_service.data.dataset import Dataset
-from egp_service.training import prior_mean, sparse
+from egp_service.training import sparse
 from egp_service.training.average_member import average_member
 from egp_service.training.choice import KINDS, MARGIN, hold_out, preferred
 from egp_service.training.euler import euler_steps
@@ -208,7 +208,7 @@ def test_a_vehicle_is_chosen_for_its_own_drive(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     z = wandering(0.0).z.copy()
     z[:, :3] += [3.0, 0.5, 0.3] * rng.standard_normal((len(z), 3))
-    y = prior_mean.predict(z, car, DT, euler_steps(car, DT)) + 0.001 * rng.standard_normal(
+    y = PriorMean(car, euler_steps(car, DT)).predict(z, DT) + 0.001 * rng.standard_normal(
         (len(z), 3)
     )
     data = dataclasses.replace(wandering(0.0), z=z, y=y, step=np.zeros(len(z), dtype=np.uint32))

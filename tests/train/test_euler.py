@@ -10,8 +10,8 @@ from surfaces import provenance
 
 from egp_service import Library, shipped
 from egp_service.data.dataset import Dataset
-from egp_service.training import prior_mean
 from egp_service.training.euler import euler_steps
+from egp_service.training.prior_mean import PriorMean
 from egp_service.training.vehicle_fit import fit_vehicle
 
 CAR = np.array(Library.load(shipped.DEMO_LIBRARY).members[1].single_track)
@@ -25,7 +25,7 @@ def after_a_second(vehicle: np.ndarray, dt: float, steps: int) -> float:
     """Lateral motion that is left of 0.01 m/s and 0.01 rad/s at 3 m/s, in m/s or rad/s."""
     z = np.array([[3.0, 0.01, 0.01, 0.0, 0.0, 0.0]])
     for _ in range(round(1.0 / dt)):
-        z[:, 1:3] += prior_mean.predict(z, vehicle, dt, steps)[:, 1:]
+        z[:, 1:3] += PriorMean(vehicle, steps).predict(z, dt)[:, 1:]
     return float(np.abs(z[:, 1:3]).max())
 
 
@@ -57,7 +57,7 @@ def test_a_vehicle_is_fitted_with_the_steps_that_it_needs(dt: float) -> None:
     steps = euler_steps(RACING, dt)
     data = Dataset(
         z=z,
-        y=prior_mean.predict(z, RACING, dt, steps),
+        y=PriorMean(RACING, steps).predict(z, dt),
         trajectory=np.arange(1500, dtype=np.uint32),
         step=np.zeros(1500, dtype=np.uint32),
         provenance=dataclasses.replace(provenance(vehicle="commonroad-2"), dt=dt),

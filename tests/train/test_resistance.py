@@ -20,8 +20,8 @@ from egp_service.data.dataset import Dataset, merge
 from egp_service.data.log_import import Column, import_log
 from egp_service.data.sensors import Sensors, measure
 from egp_service.quantities import TILT
-from egp_service.training import prior_mean
 from egp_service.training.open_loop import skill
+from egp_service.training.prior_mean import PriorMean
 from egp_service.training.vehicle_fit import fit_vehicle
 from egp_service.vehicle import known_vehicle
 
@@ -81,7 +81,7 @@ def _fitted(data: Dataset) -> FittedVehicle:
 def _after_a_second(vehicle: FittedVehicle, data: Dataset) -> NDArray[np.float64]:
     """Return the RMS errors (3,) of a fitted vehicle after 1 s."""
     compared = skill(
-        {"fitted": lambda z: prior_mean.predict(z, vehicle.values, DT, vehicle.steps)}, data
+        {"fitted": lambda z: PriorMean(vehicle.values, vehicle.steps).predict(z, DT)}, data
     )
     return np.asarray(compared.rms["fitted"][compared.durations.index(1.0)])
 

@@ -16,10 +16,10 @@ from egp_service import EgpError
 from egp_service._core import Library
 from egp_service.data.alignment import Delays
 from egp_service.data.dataset import Dataset
-from egp_service.training import prior_mean
 from egp_service.training.euler import euler_steps
 from egp_service.training.export import export
 from egp_service.training.kernel import KernelName
+from egp_service.training.prior_mean import PriorMean
 from egp_service.training.train import FitProgress, TrainingSettings, split, train
 from egp_service.training.validation import rollout_error, validate
 from egp_service.training.validation_report import draw_validation
@@ -126,7 +126,7 @@ def test_the_vehicle_is_found_again(known: NDArray[np.float64], *, simulated: bo
     rng = np.random.default_rng(0)
     bounds = np.array([8.0, 0.6, 0.5, 0.1, 6000.0, 0.3])
     z = np.array([15.0, *np.zeros(5)]) + bounds * rng.uniform(-1.0, 1.0, (2000, 6))
-    y = prior_mean.predict(z, known, 0.05, euler_steps(known, 0.05))
+    y = PriorMean(known, euler_steps(known, 0.05)).predict(z, 0.05)
     data = dataclasses.replace(
         surface(),
         z=z,
@@ -137,7 +137,7 @@ def test_the_vehicle_is_found_again(known: NDArray[np.float64], *, simulated: bo
     )
     (found,) = fit_vehicle([data], None, [rng])
     assert len(found.values) == len(known)
-    error = prior_mean.predict(z, found.values, 0.05, found.steps) - y
+    error = PriorMean(found.values, found.steps).predict(z, 0.05) - y
     if not simulated:
         assert found.parameters[-1].value == pytest.approx(known[-1], rel=0.02)
         # Rolling resistance and a slope slow alike: their sum is found, and the slope is no result.
@@ -157,23 +157,15 @@ def test_a_library_with_a_vehicle_predicts_what_gpytorch_does(tmp_path: Path) ->
     export(tmp_path / "vehicle", [member], settings, {}, TOY)
     fitted = member.mean
     assert fitted.single_track is not None
+
+    def with_vehicle(parameters: NDArray[np.float64]) -> TrainedMember:
+        mean = fitted._replace(single_track=parameters)
+        known, vehicle = (each.predict(member.inputs, 0.05) for each in (fitted, mean))
+        return dataclasses.replace(member, mean=mean, targets=member.targets - known + vehicle)
+
     # Another vehicle whose drive and braking differ everywhere, which the fit may not show.
-    known, vehicle = (
-        prior_mean.predict(member.inputs, parameters, 0.05, fitted.steps)
-        for parameters in (fitted.single_track, VEHICLE)
-    )
-    other = dataclasses.replace(
-        member,
-        mean=fitted._replace(single_track=VEHICLE),
-        targets=member.targets - known + vehicle,
-    )
+    other, without = with_vehicle(VEHICLE), with_vehicle(VEHICLE[:17])
     export(tmp_path / "other", [other], settings, {}, TOY)
-    free = prior_mean.predict(member.inputs, VEHICLE[:17], 0.05, fitted.steps)
-    without = dataclasses.replace(
-        member,
-        mean=fitted._replace(single_track=VEHICLE[:17]),
-        targets=member.targets - known + free,
-    )
     export(tmp_path / "free", [without], settings, {}, TOY)
     z = surface(0.8, seed=9).z
     assert (z[:, 4] > 0.0).any()

@@ -17,10 +17,10 @@ from egp_service import EgpError
 from egp_service._core import VehicleParameters
 from egp_service.cli import app
 from egp_service.data.dataset import Dataset
-from egp_service.training import prior_mean
 from egp_service.training.autocorrelation import autocorrelation
 from egp_service.training.euler import euler_steps
 from egp_service.training.normal_equations import NormalEquationProblem
+from egp_service.training.prior_mean import PriorMean
 from egp_service.training.vehicle_file import Line, vehicle_lines, vehicle_toml
 from egp_service.training.vehicle_fit import FittedParameter, fit_vehicle
 from egp_service.training.vehicle_priors import priors
@@ -41,7 +41,7 @@ STRAIGHT = np.array([8.0, 0.0, 0.0, 0.0, 3000.0, 0.0])
 
 
 def predict(z: NDArray[np.float64], vehicle: NDArray[np.float64]) -> NDArray[np.float64]:
-    return prior_mean.predict(z, vehicle, DT, euler_steps(vehicle, DT))
+    return PriorMean(vehicle, euler_steps(vehicle, DT)).predict(z, DT)
 
 
 def drive(

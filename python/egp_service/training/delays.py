@@ -24,7 +24,7 @@ from scipy.optimize import minimize_scalar
 from egp_service.data.alignment import Delays, align, available, consecutive
 from egp_service.training.choice import hold_out
 from egp_service.training.open_loop import linear, student_loss
-from egp_service.training.prior_mean import predict
+from egp_service.training.prior_mean import PriorMean
 from egp_service.training.vehicle_fit import fit_vehicle
 
 if TYPE_CHECKING:
@@ -294,9 +294,8 @@ def _vehicle_errors(
     found = []
     for (_, held), fitted in zip(split, vehicles, strict=True):
         moving = held.counts
-        errors: NDArray[np.float64] = held.y[moving] - predict(
-            held.z[moving], fitted.values, held.provenance.dt, fitted.steps
-        )
+        mean = PriorMean(fitted.values, fitted.steps)
+        errors = held.y[moving] - mean.predict(held.z[moving], held.provenance.dt)
         found.append(float(student_loss(errors)[_OMEGA]))
     return found
 

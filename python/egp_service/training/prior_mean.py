@@ -128,13 +128,6 @@ def _euler_step(z: torch.Tensor, parameters: torch.Tensor, dt: float) -> torch.T
     return dt * torch.stack(rate, dim=-1)
 
 
-def predict(
-    z: NDArray[np.float64], parameters: NDArray[np.float64], dt: float, steps: int
-) -> NDArray[np.float64]:
-    """Return `change` for arrays."""
-    return change(torch.from_numpy(z), torch.from_numpy(parameters), dt, steps).numpy()
-
-
 def kinematic_change(z: torch.Tensor, parameters: torch.Tensor, dt: float) -> torch.Tensor:
     """Change of `[v_x, v_y, omega]` (n, 3) of a vehicle whose wheels roll without slip.
 

@@ -112,7 +112,7 @@ class FittedVehicle:
 
     @property
     def values(self) -> NDArray[np.float64]:
-        """The values (17,) or (19,), as `prior_mean.predict` takes them."""
+        """The values (17,) or (19,), as those of `PriorMean.single_track`."""
         return np.array([parameter.value for parameter in self.parameters])
 
     def summary(self) -> dict[str, dict[str, float | bool]]:
