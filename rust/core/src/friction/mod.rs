@@ -1,7 +1,7 @@
 //! The posterior of the friction coefficient, given the window of eq. (6).
 //!
-//! Each of [`friction_hypotheses`] about the friction coefficient `mu` has a model, whose whitened innovations `e` over the
-//! window (module `innovations`) give a likelihood:
+//! Each of [`friction_hypotheses`] about the friction coefficient `mu` has a model, whose innovations over the window (module
+//! `innovations`) give a likelihood:
 //!
 //! ```text
 //! q(mu) = (sum nu)ᵀ (sum S)⁻¹ (sum nu)
@@ -9,13 +9,15 @@
 //! p(mu) ∝ p_0(mu) exp(-J(mu) / (2 tau max(1, min J / n))) (1 + q(mu))⁻²,    n = number of errors
 //! ```
 //!
-//! over the window, with the innovations `nu` and their covariances `S`. `p_0` is uniform over [`RANGE`], and the logarithm of the
-//! likelihood is interpolated in `ln mu`. The sum of the innovations has a Cauchy distribution of three dimensions: what a model
-//! of the vehicle lacks (a bank, a load, other tyres) is alike in all transitions of a window, and of unknown size. A normal distribution
-//! would count it as information about the friction, the more of it the longer the window. A window whose single
-//! errors no hypothesis explains, `min J > n`, widens the posterior (a power posterior; Grünwald and van Ommen,
-//! *Inconsistency of Bayesian Inference for Misspecified Linear Models*, Bayesian Analysis 12(4), 2017). Nothing but the window is
-//! remembered, so without excitation the posterior returns to the prior within the length of the window.
+//! The sums are over the window, `nu` are the innovations, `S` their covariances, and `e` the whitened innovations. `p_0` is
+//! uniform over [`RANGE`], and the logarithm of the likelihood is interpolated in `ln mu`.
+//!
+//! The sum of the innovations has a Cauchy distribution of three dimensions: what a model of the vehicle lacks (a bank, a load,
+//! other tyres) is alike in all transitions of a window, and of unknown size. A normal distribution would count it as
+//! information about the friction, the more of it the longer the window. A window whose single errors no hypothesis explains,
+//! `min J > n`, widens the posterior (a power posterior; Grünwald and van Ommen, *Inconsistency of Bayesian Inference for
+//! Misspecified Linear Models*, Bayesian Analysis 12(4), 2017). Nothing but the window is remembered, so without excitation
+//! the posterior returns to the prior within the length of the window.
 
 mod hypothesis;
 mod innovations;

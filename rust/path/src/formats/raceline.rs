@@ -45,9 +45,9 @@ pub(super) fn read(text: &str, scale: f64, closed: bool) -> Result<Path, PathErr
     Ok(path)
 }
 
-/// Compares psi with the direction between the points before and after each point, or from or to an end of an open path,
-/// measured from +x (as here) and from +y (as in the trajectory tools of TUM). The path uses the positions only; headings that agree with neither
-/// convention indicate wrong columns or a wrong order of the points.
+/// Compares psi with the direction from the point before each point to the one after it, measured from +x (as here) and from
+/// +y (as in the trajectory tools of TUM). At an end of an open path one of these two is the point itself. The path uses the
+/// positions only; headings that agree with neither convention indicate wrong columns or a wrong order of the points.
 fn check_heading(rows: &[Row<7>], closed: bool) -> Result<(), PathError> {
     let count = rows.len();
     let mean_error = |quarter: f64| {
