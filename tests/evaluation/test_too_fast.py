@@ -55,4 +55,6 @@ def test_on_less_friction_than_all_members_a_vehicle_that_is_too_fast_still_turn
 def test_an_envelope_of_the_lateral_speed_prevents_a_spin(library: Path) -> None:
     spun = driven(library, 39, 0.2, control={})
     assert "the vehicle has spun" in spun.ending.reason
-    assert driven(library, 39, 0.2).ending.completed  # at most 2.2 m beside the path
+    kept = driven(library, 39, 0.2)
+    assert kept.ending.completed
+    assert kept.lateral_error.max < 2.5  # measured 2.2 m

@@ -169,7 +169,9 @@ fn the_misfit_tells_another_vehicle_from_another_friction() {
     for mu in [0.35, 0.5, 0.8, 1.1] {
         let own = estimate(&ensemble, &library(&[mu]), &window(0.1));
         let foreign = estimate(&ensemble, &changed(&[mu], 0.1, other), &window(0.1));
-        assert!(own.misfit < 0.5, "{mu}: {own:?}");
+        // Beyond the members, 0.35 lies between two hypotheses that are both far off without noise.
+        let most = if mu < 0.5 { 0.5 } else { 0.03 };
+        assert!(own.misfit < most, "{mu}: {own:?}");
         assert!(foreign.misfit > 10.0, "{mu}: {foreign:?}");
     }
     let none = FrictionEstimator::new(&ensemble, &WeightSettings::default());
