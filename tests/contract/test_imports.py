@@ -21,7 +21,8 @@ WATCHED = {
     "ray", "rerun", "rich", "rosbags", "ruamel", "scipy", "starlette", "torch", "typer", "uvicorn",
     "xxhash", "zenoh",
 }  # fmt: skip
-TRAINING = {"torch", "gpytorch", "botorch", "scipy", "polars", "loky"}
+TABLES = {"scipy", "polars", "loky"}
+TRAINING = {"torch", "gpytorch", "botorch"} | TABLES
 TERMINAL = {"rich", "typer"}
 LIBRARIES = "libraries of training"
 # What each room may load. A module in a line of its own is an exception in its room.
@@ -57,6 +58,7 @@ MAY_LOAD = {
     "egp_service.training": TRAINING | {"mcap"},
     "egp_service.training.validation_report": {"matplotlib"},
     "egp_service.evaluation": TRAINING | {"mcap", "matplotlib", "cvxpy", "osqp"},
+    "egp_service.evaluation.campaign": TABLES | {"mcap"},
     "egp_service.cli": TERMINAL,
     "egp_service.cli.backends": TERMINAL | {"zenoh"},
     "egp_service.cli.credentials": TERMINAL | {"zenoh"},
@@ -65,7 +67,7 @@ MAY_LOAD = {
     "egp_service.cli.checks": TERMINAL | {"zenoh"},
     "egp_service.cli.replay_text": TERMINAL | {"mcap"},
     "egp_service.cli.logs": TERMINAL | TRAINING | {"matplotlib"},
-    "egp_service.cli.evaluation_parts": TERMINAL | TRAINING,
+    "egp_service.cli.evaluation_parts": TERMINAL | TABLES,
 }
 
 # Each room is imported in a process that is forked from the one of its parent, so that what several

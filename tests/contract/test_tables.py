@@ -36,9 +36,9 @@ from egp_service.evaluation.logs import OURS, PAPER, VEHICLE
 from egp_service.evaluation.summary_report import HEADLINE
 from egp_service.simulation.summary import Ending, Error, Summary
 from egp_service.training.open_loop import LINEAR, NO_CHANGE, Skill, skill
-from egp_service.training.prior_mean import PARAMETERS
 from egp_service.training.validation import Cell
 from egp_service.training.vehicle_fit import FittedParameter, FittedVehicle
+from egp_service.training.vehicle_priors import PARAMETERS
 from library_example import write_example
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ import numpy as np
 
 from egp_service._core import MemberData, write_library
 from egp_service.data.channels import channels
-from egp_service.training.prior_mean import SINGLE_TRACK
 from egp_service.training.threads import one_thread
+from egp_service.training.vehicle_priors import SINGLE_TRACK
 from egp_service.vehicle import known_vehicle, simulated_vehicle
 
 if TYPE_CHECKING:

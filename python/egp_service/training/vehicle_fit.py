@@ -26,16 +26,17 @@ from egp_service.quantities import NORMAL_95, NY
 from egp_service.training.autocorrelation import autocorrelation
 from egp_service.training.euler import euler_steps
 from egp_service.training.normal_equations import NormalEquationProblem
-from egp_service.training.prior_mean import (
+from egp_service.training.prior_mean import change
+from egp_service.training.vehicle_priors import (
     BODY,
     DRAG,
+    KNOWN_WIDTHS,
     PARAMETERS,
     ROLLING,
     TYRES,
     Parameter,
-    change,
+    priors,
 )
-from egp_service.training.vehicle_priors import KNOWN_WIDTHS, priors
 from egp_service.vehicle import simulated_vehicle
 
 if TYPE_CHECKING:
