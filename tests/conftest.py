@@ -54,7 +54,8 @@ def interrupted_pictures(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
     return lambda: monkeypatch.setattr("matplotlib.figure.Figure.savefig", interrupted)
 
 
-@pytest.fixture(scope="session")
+# Not for the session: as long as Playwright is open, asyncio counts its loop as running in this thread.
+@pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
     if CHROMIUM is None:
         pytest.skip("no Chromium found; on Debian `make browser` installs it")

@@ -7,13 +7,19 @@ use crate::vehicle::{P_X, P_Y, PSI, V_X};
 use crate::{NX, State};
 
 /// `Q` for a reference state: weights of the position errors along and across the reference yaw and of speed and yaw
-/// errors.
+/// errors. Below the reference speed `v_0` of [`ScaledWeights::full_lateral_speed`] the weight across is multiplied by
+/// `(v_x / v_0)²`.
+///
+/// The steering angle changes at a limited rate, so that a slow vehicle which is turned away from the path needs more time than
+/// the horizon to turn back, and first moves farther away from the path. With the full weight the plan with the least cost is
+/// then to stop.
 pub fn state_weight(
     cost: &Cost,
     scaled: &ScaledWeights,
     reference: &State,
 ) -> SMatrix<f64, NX, NX> {
-    let (along, across) = (scaled.longitudinal, scaled.lateral);
+    let slow = (reference[V_X] / scaled.full_lateral_speed).clamp(0.0, 1.0);
+    let (along, across) = (scaled.longitudinal, scaled.lateral * slow * slow);
     let (sin, cos) = reference[PSI].sin_cos();
     let mut q = SMatrix::zeros();
     q[(P_X, P_X)] = along * cos * cos + across * sin * sin;
@@ -49,7 +55,7 @@ mod tests {
         let scaled = cost.scaled(1.0);
         let psi: f64 = 0.7;
         let mut reference = State::zeros();
-        reference[PSI] = psi;
+        (reference[PSI], reference[V_X]) = (psi, 10.0);
         let value = |e: State| (e.transpose() * state_weight(&cost, &scaled, &reference) * e).x;
         let along = State::from_column_slice(&[psi.cos(), psi.sin(), 0.0, 0.0, 0.0, 0.0, 0.0]);
         let across = State::from_column_slice(&[-psi.sin(), psi.cos(), 0.0, 0.0, 0.0, 0.0, 0.0]);
@@ -57,6 +63,20 @@ mod tests {
         assert!((value(along) - weights[0]).abs() < 1e-12);
         assert!((value(across) - weights[1]).abs() < 1e-12);
         assert!((value(along + across) - weights[0] - weights[1]).abs() < 1e-12);
+    }
+
+    #[test]
+    fn lateral_errors_of_slow_vehicles_weigh_less() {
+        let (cost, full) = (Cost::default(), 4.0);
+        let weight = |v_x: f64, scale: f64| {
+            let mut reference = State::zeros();
+            reference[V_X] = v_x;
+            state_weight(&cost, &cost.scaled(scale), &reference)[(P_Y, P_Y)] * scale * scale
+        };
+        let weights = [20.0, full, 0.5 * full, 0.0].map(|v_x| weight(v_x, 1.0));
+        assert_eq!(weights, [60.0, 60.0, 15.0, 0.0]);
+        // A vehicle of a quarter of the size with half of the speed.
+        assert_eq!(weight(0.25 * full, 0.25), 15.0);
     }
 
     #[test]

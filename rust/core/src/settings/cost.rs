@@ -22,8 +22,8 @@ pub struct Cost {
     /// Position error along the reference, 1/m². If it equals `lateral`, Q is the same for all yaw angles of the reference,
     /// as in the paper. Default `10 / scale²`.
     pub longitudinal: Option<f64>,
-    /// Position error across the reference, 1/m². Default `60 / scale²`; with 60 the simulated car drives with up to 40 ms of
-    /// actuator delay, with 20 with up to 60 ms.
+    /// Position error across the reference, 1/m², with less weight below [`ScaledWeights::full_lateral_speed`]. Default
+    /// `60 / scale²`; with 60 the simulated car drives with up to 40 ms of actuator delay, with 20 with up to 60 ms.
     pub lateral: Option<f64>,
     /// Speed error, 1/(m/s)². Default `2 / scale`.
     pub v_x: Option<f64>,
@@ -49,6 +49,8 @@ pub struct ScaledWeights {
     pub longitudinal: f64,
     /// [`Cost::lateral`].
     pub lateral: f64,
+    /// Reference speed `v_0` in m/s, `4 √scale`, below which the weight of lateral errors is `lateral (v_x / v_0)²`.
+    pub full_lateral_speed: f64,
     /// [`Cost::v_x`].
     pub v_x: f64,
     /// [`Cost::input`].
@@ -79,6 +81,7 @@ impl Cost {
         ScaledWeights {
             longitudinal: (self.longitudinal).unwrap_or_else(|| per_square(10.0, scale)),
             lateral: self.lateral.unwrap_or_else(|| per_square(60.0, scale)),
+            full_lateral_speed: 4.0 * scale.sqrt(),
             v_x: self.v_x.unwrap_or(2.0 / scale),
             input: self.input.unwrap_or([0.05, 2.0 * scale]),
             rate: self.rate.unwrap_or([0.05, 10.0 * scale]),
