@@ -54,7 +54,8 @@ def interrupted_pictures(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
     return lambda: monkeypatch.setattr("matplotlib.figure.Figure.savefig", interrupted)
 
 
-# Not for the session: as long as Playwright is open, asyncio counts its loop as running in this thread.
+# As long as Playwright is open, asyncio counts its loop as running in this thread. So it is not
+# open for the whole session.
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
     if CHROMIUM is None:
