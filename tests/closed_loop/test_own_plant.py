@@ -257,7 +257,7 @@ def test_the_evaluation_drives_a_simulator_of_ones_own(
     # The runs are driven in other processes.
     assert sys.modules["rails_car"].Car.made == 1
     rows = list(csv.DictReader((folder / "out/runs.csv").read_text(encoding="utf-8").splitlines()))
-    assert len(rows) > 2
+    assert len(rows) == 2
     assert {row["completed"] for row in rows} == {"True"}
     # A car that never slides follows the path on every surface, whatever the contender believes.
     errors = [float(row["lateral_rms"]) for row in rows]
