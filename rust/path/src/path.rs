@@ -276,7 +276,8 @@ impl Path {
         };
         let (index, u) = self.locate(self.wrap(s).clamp(0.0, self.length()));
         let (a, b) = (widths[index], widths[(index + 1) % widths.len()]);
-        [0, 1].map(|side| a[side] + (b[side] - a[side]) * u / self.step)
+        // At the end of a piece whose width decreases to zero, rounding may leave less than zero.
+        [0, 1].map(|side| (a[side] + (b[side] - a[side]) * u / self.step).max(0.0))
     }
 
     /// Linear interpolation of the waypoints' widths at the spline's knots.

@@ -105,6 +105,19 @@ fn curvature_is_the_rate_of_yaw_and_continuous_over_the_seam() {
     }
 }
 
+/// Interpolation at the end of the last piece rounds.
+#[test]
+fn a_track_that_narrows_to_nothing_has_no_negative_width() {
+    for spacing in 1..400 {
+        let spacing = 1.0 + 0.01 * f64::from(spacing);
+        let points = [0.0, 1.0, 2.0, 3.0, 4.0].map(|x| [x * spacing, 0.0]);
+        let widths = [3.0, 3.0, 3.0, 3.0, 0.0].map(|width| [width; 2]);
+        let path = Path::from_points(&points, false, Some(&widths)).unwrap();
+        let end = path.sample(path.length());
+        assert!((0.0..1e-9).contains(&end.left) && (0.0..1e-9).contains(&end.right));
+    }
+}
+
 #[test]
 fn an_open_path_continues_straight_beyond_its_ends() {
     let path = wave();
