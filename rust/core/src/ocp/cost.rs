@@ -11,8 +11,8 @@ use crate::{NX, State};
 /// `(v_x / v_0)²`.
 ///
 /// The steering angle changes at a limited rate, so that a slow vehicle which is turned away from the path needs more time than
-/// the horizon to turn back, and first moves farther away from the path. With the full weight the plan with the least cost is
-/// then to stop.
+/// the horizon to turn back, and first moves farther away from the path. With the full weight the plan with the least cost may
+/// then be one that stops.
 pub fn state_weight(
     cost: &Cost,
     scaled: &ScaledWeights,

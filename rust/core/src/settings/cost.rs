@@ -20,7 +20,7 @@ const MOST_TERMINAL: f64 = 1e3;
 #[serde(default, deny_unknown_fields, expecting = "a table")]
 pub struct Cost {
     /// Position error along the reference, 1/m². If it equals `lateral`, Q is the same for all yaw angles of the reference,
-    /// as in the paper. Default `10 / scale²`.
+    /// as in the paper, except below [`ScaledWeights::full_lateral_speed`]. Default `10 / scale²`.
     pub longitudinal: Option<f64>,
     /// Position error across the reference, 1/m², with less weight below [`ScaledWeights::full_lateral_speed`]. Default
     /// `60 / scale²`; with 60 the simulated car drives with up to 40 ms of actuator delay, with 20 with up to 60 ms.
