@@ -15,6 +15,17 @@ def tiles_key(vehicle: str, *, fleet: str = "depot", road: str = "ring") -> str:
     return f"egp/v1/map/{fleet}/{vehicle}/{road}/tiles/0"
 
 
+def changed_key(*, fleet: str = "depot", road: str = "ring") -> str:
+    """Key on which the service publishes which tiles have new evidence."""
+    return f"egp/v1/@map/{fleet}/{road}"
+
+
+def changed(tiles: list[int]) -> bytes:
+    """Bytes of a TilesChanged."""
+    encoded: bytes = message_class("TilesChanged")(version=1, tiles=tiles).SerializeToString()
+    return encoded
+
+
 def evidence(tile: bytes, age: float) -> bytes:
     """Bytes of a TileEvidence of this age in s."""
     message = message_class("TileEvidence")(version=1, age_ms=round(1e3 * age), rows=tile)

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+import tracemalloc
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,12 +29,13 @@ from egp_service.simulation.course import road_name
 from egp_service.simulation.scenario import load_scenario
 from patience import PATIENCE, shortest, wait_until
 from road_evidence import PATH, measure, measured
-from road_messages import evidence, tile_key, tiles_key
+from road_messages import changed, changed_key, evidence, tile_key, tiles_key
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
 SCENARIO = load_scenario("random")
+BLOCK = zenoh.CongestionControl.BLOCK
 
 
 @contextmanager
@@ -216,6 +218,27 @@ def test_fleets_share_nothing_and_a_vehicle_does_not_hear_itself() -> None:
         ((vehicle, age),) = tiles(tiles_key("car-2"))[0]
         assert vehicle == "car-1"
         assert 2000 <= age < 7000
+
+
+def test_publications_that_no_period_uses_are_not_kept_without_limit() -> None:
+    endpoint, key, sizes = free_endpoint(), changed_key(), list[int]()
+    router = {"mode": "router", "listen": {"endpoints": [endpoint]}}
+    hub = session_config([], 5.0, router)
+    with zenoh.open(hub) as hostile, zenoh.open(session_config([endpoint], 5.0, {})) as other:
+        subscriber = other.declare_subscriber(key, lambda it: sizes.append(len(it.payload)))
+        with FleetMap(endpoint, RoadBelief(PATH), road="ring", vehicle="car-2", fleet="depot"):
+            wait_until(lambda: hostile.put(key, changed([0])) is None and bool(sizes))
+            tracemalloc.start()
+            try:
+                for _ in range(1000):
+                    hostile.put(key, changed([1] * 10_000), congestion_control=BLOCK)
+                hostile.put(key, changed([0]), congestion_control=BLOCK)
+                wait_until(lambda: sum(sizes) > 9e6 and sizes[-1] < 100)
+                kept, _ = tracemalloc.get_traced_memory()
+            finally:
+                tracemalloc.stop()
+                subscriber.undeclare()
+    assert kept < 2e6
 
 
 def test_a_configuration_that_cannot_be_used_is_an_error() -> None:

@@ -135,6 +135,12 @@ impl FleetMap {
     /// Uses what has arrived, and once a second sends what the vehicle measured; to be called once in each control period. It
     /// never waits for the network.
     pub fn exchange(&mut self, belief: &mut RoadBelief) {
+        for publication in self.network.publications() {
+            self.exchange.changed(&publication);
+        }
+        if self.network.publications_lost() {
+            self.exchange.publications_lost();
+        }
         // Those of a flood wait for the next periods.
         for _ in 0..FEW {
             let Some(event) = self.network.next(Duration::ZERO) else {
@@ -191,7 +197,6 @@ impl FleetMap {
     fn handle(&mut self, event: MapEvent, belief: &mut RoadBelief) {
         let now = self.now();
         match event {
-            MapEvent::Changed(publication) => self.exchange.changed(&publication),
             MapEvent::Replied(id, answer) => self.exchange.replied(now, id, &answer, belief),
             MapEvent::Refused(id, error) => self.exchange.refused(id, &error),
             MapEvent::Ended(id) => self.exchange.ended(now, id, belief),

@@ -1,6 +1,8 @@
 //! Access to the network; no other file of this crate uses zenoh.
 
-use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, Sender, channel, sync_channel};
 use std::time::{Duration, Instant};
 
 use egp_driver::{MapQuery, Query, QueryId, Question};
@@ -14,6 +16,7 @@ use zenoh::sample::SampleKind;
 use zenoh::session::SessionGetBuilder;
 use zenoh::{Config, Wait};
 
+use crate::client::FEW;
 use crate::config::{Access, VehicleConfig};
 
 /// An event on the network, with the time at which it was received.
@@ -234,8 +237,6 @@ impl Network {
 
 /// An event of the exchange with a map service.
 pub(crate) enum MapEvent {
-    /// The service published that tiles have new evidence.
-    Changed(Vec<u8>),
     /// A reply's payload.
     Replied(QueryId, Vec<u8>),
     /// Payload of an error reply.
@@ -249,30 +250,49 @@ pub(crate) struct MapNetwork {
     session: zenoh::Session,
     events: Receiver<MapEvent>,
     sender: Sender<MapEvent>,
+    publications: Receiver<Vec<u8>>,
+    /// Whether a publication came while `publications` was full.
+    lost: Arc<AtomicBool>,
     // This field is never read; while it lives, it reports the service's publications.
     _subscriber: zenoh::pubsub::Subscriber<()>,
 }
 
 impl MapNetwork {
-    /// Opens a session that gets the publications on the key `publications`.
-    pub(crate) fn open(access: &Access<'_>, publications: &str) -> Result<Self, NetworkError> {
+    /// Opens a session that gets the publications on this key.
+    pub(crate) fn open(access: &Access<'_>, key: &str) -> Result<Self, NetworkError> {
         let session = open(access)?;
         let (sender, events) = channel();
-        let out = sender.clone();
+        let (out, publications) = sync_channel(FEW);
+        let lost = Arc::new(AtomicBool::new(false));
+        let full = lost.clone();
         let subscriber = session
-            .declare_subscriber(publications)
+            .declare_subscriber(key)
             .callback(move |sample| {
                 let payload = sample.payload().to_bytes().into_owned();
-                tell(&out, MapEvent::Changed(payload));
+                if out.try_send(payload).is_err() {
+                    full.store(true, Ordering::Relaxed);
+                }
             })
             .wait()
-            .map_err(|e| NetworkError::new(format!("cannot subscribe to {publications}"), &e))?;
+            .map_err(|e| NetworkError::new(format!("cannot subscribe to {key}"), &e))?;
         Ok(Self {
             session,
             events,
             sender,
+            publications,
+            lost,
             _subscriber: subscriber,
         })
+    }
+
+    /// The service's publications that tiles have new evidence; the oldest [`FEW`] are kept.
+    pub(crate) fn publications(&self) -> impl Iterator<Item = Vec<u8>> {
+        self.publications.try_iter().take(FEW)
+    }
+
+    /// Whether publications were not kept since the last call.
+    pub(crate) fn publications_lost(&self) -> bool {
+        self.lost.swap(false, Ordering::Relaxed)
     }
 
     /// The next event, or `None` if there is none within `patience`.

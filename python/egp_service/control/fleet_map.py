@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
+from collections import deque
 from functools import partial
 from typing import TYPE_CHECKING, Final, Self
 
@@ -30,7 +31,8 @@ if TYPE_CHECKING:
     from egp_service._core import MapQuery, RoadBelief
 
 _ENCODING: Final = "application/protobuf;egp.v1.TileEvidence"
-# Events that one period uses at most: those of a flood wait for the next ones.
+# Events that one period uses at most: those of a flood wait for the next ones. As many publications
+# are kept until the next period.
 _EVENTS: Final = 64
 
 _log = logging.getLogger(__name__)
@@ -88,6 +90,7 @@ class FleetMap(Closing):
             timeout=timeout,
         )
         self._inbox: Inbox[Callable[[], None]] = Inbox()
+        self._publications: deque[bytes | None] = deque(maxlen=_EVENTS)
         self._closed = False
         try:
             self._session = open_session(config, timeout)
@@ -96,7 +99,7 @@ class FleetMap(Closing):
                 f"zenoh cannot open a session with {endpoint_names(names)}: {zenoh_reason(error)}"
             ) from error
         self._subscriber = self._session.declare_subscriber(
-            self._exchange.publications, direct(_changing(self._inbox, self._exchange))
+            self._exchange.publications, direct(_keeping(self._publications))
         )
 
     def fetch(self) -> bool:
@@ -119,6 +122,7 @@ class FleetMap(Closing):
 
         """
         self._check_open()
+        self._use_publications()
         for _ in range(_EVENTS):
             event = self._inbox.get(0.0)
             if event is None:
@@ -164,6 +168,14 @@ class FleetMap(Closing):
         """Return the map."""
         self._check_open()
         return self
+
+    def _use_publications(self) -> None:
+        for _ in range(len(self._publications)):
+            publication = self._publications.popleft()
+            if publication is None:
+                self._exchange.publications_lost()
+            else:
+                self._exchange.changed(publication)
 
     def _check_open(self) -> None:
         if self._closed:
@@ -215,16 +227,15 @@ class FleetMap(Closing):
             ended()
 
 
-def _changing(
-    inbox: Inbox[Callable[[], None]], exchange: FleetExchange
-) -> Callable[[zenoh.Sample], None]:
-    """Return a function that makes an event of a publication of the map.
+def _keeping(publications: deque[bytes | None]) -> Callable[[zenoh.Sample], None]:
+    """Return a function that keeps publications of the map, and `None` in place of too many.
 
     zenoh keeps it as long as the session. It does not hold the `FleetMap`, so that one that is no
     longer used is collected, which closes its session.
     """
 
     def on_change(sample: zenoh.Sample) -> None:
-        inbox.put(partial(exchange.changed, sample.payload.to_bytes()))
+        full = len(publications) == publications.maxlen  # the oldest one is dropped then
+        publications.append(None if full else sample.payload.to_bytes())
 
     return on_change

@@ -115,6 +115,11 @@ impl FleetExchange {
         self.0.changed(publication);
     }
 
+    /// Note that there was no room for publications, so that any tile may have new evidence.
+    fn publications_lost(&mut self) {
+        self.0.publications_lost();
+    }
+
     /// Note a reply to a query.
     fn replied(&mut self, py: Python<'_>, now: f64, query: u64, answer: &[u8]) -> PyResult<()> {
         let mut belief = self.1.try_borrow_mut(py)?;

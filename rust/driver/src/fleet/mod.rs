@@ -163,13 +163,17 @@ impl FleetExchange {
             Ok(tiles) => tiles,
             Err(error) => return self.notice(FleetNotice::UnreadablePublication(error)),
         };
-        let both = || tiles.iter().copied().chain(self.bounds());
-        if !tiles.is_empty()
-            && let (Some(first), Some(last)) = (both().min(), both().max())
+        if let (Some(&first), Some(&last)) = (tiles.iter().min(), tiles.iter().max())
             && first <= self.last_tile()
         {
-            self.stale = Some((first, last.min(self.last_tile())));
+            let (from, to) = self.stale.unwrap_or((first, last));
+            self.stale = Some((first.min(from), last.max(to).min(self.last_tile())));
         }
+    }
+
+    /// The transport had no room for publications, so that any tile may have new evidence.
+    pub fn publications_lost(&mut self) {
+        self.stale = Some((0, self.last_tile()));
     }
 
     /// A query was answered. An answer that cannot be read counts as no answer.
@@ -378,12 +382,6 @@ impl FleetExchange {
             Subject::Evidence(tile, _) => Some(tile),
             Subject::Tiles { .. } => None,
         })
-    }
-
-    fn bounds(&self) -> impl Iterator<Item = u32> {
-        self.stale
-            .into_iter()
-            .flat_map(|(first, last)| [first, last])
     }
 
     fn last_tile(&self) -> u32 {

@@ -42,6 +42,21 @@ fn only_the_tiles_that_changed_are_asked_for() {
 }
 
 #[test]
+fn after_lost_publications_all_tiles_are_asked_for() {
+    let mut car = Car::new(4);
+    car.exchange.changed(&encode_tiles_changed(vec![2]));
+    car.exchange.publications_lost();
+    car.now += SECOND;
+    let query = car.query_of_a_period();
+    assert!(query.key.ends_with("/tiles/0"), "{}", query.key);
+    car.replied(&query, &answer(&[0, 1, 2], true));
+    let next = car.query();
+    assert!(next.key.ends_with("/tiles/3"), "{}", next.key);
+    car.replied(&next, &answer(&[3], false));
+    assert!(car.queries().is_empty());
+}
+
+#[test]
 fn evidence_is_sent_once_a_second_and_again_until_it_is_acknowledged() {
     let mut car = Car::new(2);
     car.measure(0, 1);
