@@ -3,8 +3,8 @@
 use std::{path::Path, sync::Arc};
 
 use egp_core::{
-    Library, MOST_FORCE, Settings, StepError, StepReply, StepRequest, VehicleParameters, Workspace,
-    library,
+    Library, MOST_FORCE, OcpQp, Settings, StepError, StepReply, StepRequest, VehicleParameters,
+    Workspace, library,
 };
 use egp_wire::{
     Code, Friction, LibraryId, Predictions, Ready, Reply, Request, Status, WireError, limits,
@@ -28,6 +28,13 @@ pub struct EngineWorkspace {
     step: StepReply,
     request: Request,
     reply: Reply,
+}
+
+impl EngineWorkspace {
+    /// The quadratic program of the last step ([`Workspace::problem`]).
+    pub fn problem(&self) -> &OcpQp {
+        self.core.problem()
+    }
 }
 
 impl Engine {
@@ -163,10 +170,7 @@ impl Engine {
             library: self.library.id(),
             others: Vec::new(),
             dt: self.library.dt(),
-            horizon: count(
-                self.settings
-                    .horizon(self.library.dt(), self.library.least_friction()),
-            ),
+            horizon: count(self.settings.horizon(&self.library)),
             history: count(self.settings.weights.window(self.library.dt())),
             members: self
                 .library
@@ -309,7 +313,7 @@ pub fn unknown_library(served: &[LibraryId], stated: &LibraryId) -> WireError {
 /// Errors if a message cannot carry so many members, inputs of a plan, or transitions.
 fn check_sizes(library: &Library, settings: &Settings) -> Result<(), EngineError> {
     let (members, dt) = (library.members().len(), library.dt());
-    let horizon = settings.horizon(dt, library.least_friction());
+    let horizon = settings.horizon(library);
     let window = settings.weights.window(dt);
     for (what, actual, limit) in [
         ("the number of members", members, limits::MEMBERS),

@@ -76,7 +76,7 @@ fn max(a: f64, b: f64) -> f64 {
 }
 
 impl OcpQp {
-    /// Rolls the states out from `solution.u`, then computes `solution.kkt`.
+    /// Rolls the states out from `solution.u`, then computes `solution.kkt` and `solution.cost`.
     ///
     /// Slacks are the violations of the soft rows, which is optimal for given states. The multipliers of the dynamics
     /// are the adjoint states `p_t = ∇_x + A_tᵀ p_{t+1}`, for which the gradient in the states is zero. The residual
@@ -89,6 +89,7 @@ impl OcpQp {
         for t in 0..self.horizon() {
             self.check_stage(solution, t, &mut tally);
         }
+        solution.cost = tally.cost;
         solution.kkt = KktResidual {
             stationarity: tally.gradient / tally.gradient_scale.max(1.0),
             primal: tally.primal,

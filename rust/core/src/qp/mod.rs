@@ -237,6 +237,19 @@ impl OcpQp {
         }
     }
 
+    /// Whether a sequence of inputs satisfies all hard bounds. They bound each input and its changes, so that the values an
+    /// input can reach at a stage are an interval, and such a sequence exists exactly if none of these intervals is empty.
+    pub fn has_feasible_inputs(&self) -> bool {
+        (0..NU).all(|i| {
+            let (mut low, mut high) = (self.u_prev[i], self.u_prev[i]);
+            self.stages.iter().all(|stage| {
+                low = (low + stage.du_min[i]).max(stage.u_min[i]);
+                high = (high + stage.du_max[i]).min(stage.u_max[i]);
+                low <= high
+            })
+        })
+    }
+
     /// True if every number of the stages and the start is finite and no lower bound exceeds its upper bound.
     pub fn is_well_posed(&self) -> bool {
         let finite = |m: &[f64]| m.iter().all(|v| v.is_finite());

@@ -39,6 +39,8 @@ pub struct OcpSolution {
     pub iterations: u32,
     /// KKT residual computed by [`OcpQp::check`](super::OcpQp::check).
     pub kkt: KktResidual,
+    /// Cost of the inputs, computed by [`OcpQp::check`](super::OcpQp::check); infinite before.
+    pub cost: f64,
     /// Adjoint states, memory of the check.
     pub(super) adjoint: Vec<State>,
 }
@@ -53,6 +55,7 @@ impl OcpSolution {
             status: Status::NumericalError,
             iterations: 0,
             kkt: KktResidual::default(),
+            cost: f64::INFINITY,
             adjoint: vec![State::zeros(); horizon + 1],
         }
     }

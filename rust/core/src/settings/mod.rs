@@ -27,8 +27,8 @@ pub use cost::{Cost, ScaledWeights};
 pub use estimation::{Prior, WeightSettings};
 pub use residual::ResidualSettings;
 
-use crate::NY;
 use crate::vehicle::SLIPPERY;
+use crate::{Library, NY};
 use range::check;
 
 /// Settings of the control step.
@@ -39,8 +39,8 @@ use range::check;
 #[serde(default, deny_unknown_fields, expecting = "a table")]
 pub struct Settings {
     /// Horizon `T`: number of inputs in a plan, 1 to 200; requests hold at most 128. Default: 0.8 s, which are 40 periods of
-    /// 0.02 s, and longer for a library with a member of a friction below 0.5, but at most 120 periods
-    /// ([`Settings::horizon`](Self::horizon())).
+    /// 0.02 s, shorter for small vehicles, and longer for a library with a member of a friction below 0.5, but at most 120
+    /// periods ([`Settings::horizon`](Self::horizon())).
     ///
     /// Measured near the friction limit with measurement noise. With the same data, a period of 0.02 s halves the lateral error
     /// of a period of 0.05 s. At 0.02 s, 30 inputs lose the car more often than 40, and 50 are not better. At 0.05 s, 40 inputs
@@ -71,7 +71,7 @@ pub struct Settings {
     pub solver: SolverSettings,
 }
 
-/// The default horizon in s if no member is slippery, and in periods at most.
+/// The default horizon in s of a full-size vehicle if no member is slippery, and in periods at most.
 const HORIZON: f64 = 0.8;
 const LONGEST_DEFAULT_HORIZON: usize = 120;
 
@@ -103,14 +103,17 @@ impl Settings {
     /// Longest accepted horizon. A larger number is most likely a typing error.
     pub const MAX_HORIZON: usize = 200;
 
-    /// The horizon `T` for a period of `dt` s and members of which the most slippery one has the coefficient `friction`.
+    /// The horizon `T` with a library.
     ///
-    /// By default it is 0.8 s, and longer in proportion to `friction^-2/3` below 0.5: tyres that transmit less need longer
-    /// to move the vehicle back to its path.
-    pub fn horizon(&self, dt: f64, friction: f64) -> usize {
-        let slippery = (SLIPPERY / friction).max(1.0).powf(2.0 / 3.0);
-        self.horizon
-            .unwrap_or_else(|| periods(HORIZON * slippery, dt, LONGEST_DEFAULT_HORIZON))
+    /// By default it is 0.8 s for a full-size vehicle, and shorter in proportion to the root of the
+    /// [scale](VehicleParameters::scale): vehicles of similar shape move alike in times that are proportional to the root of
+    /// their size. With a member whose friction `mu` is below 0.5 it is longer in proportion to `mu^-2/3`: tyres that transmit
+    /// less need longer to move the vehicle back to its path.
+    pub fn horizon(&self, library: &Library) -> usize {
+        self.horizon.unwrap_or_else(|| {
+            let scale = self.vehicle(library.vehicle()).scale();
+            default_horizon(library.dt(), library.least_friction(), scale)
+        })
     }
 
     /// The vehicle to control: the library's, with what these settings state in place of it.
@@ -155,7 +158,8 @@ impl Settings {
         measurement_delay: Option<f64>,
     ) -> Self {
         let vehicle = self.vehicle(library);
-        self.horizon = Some(self.horizon(dt, friction));
+        let horizon = || default_horizon(dt, friction, vehicle.scale());
+        self.horizon = Some(self.horizon.unwrap_or_else(horizon));
         self.weights.window = Some(self.weights.window(dt));
         self.weights.member_penalty = Some(self.weights.member_penalty(friction));
         self.weights.measurement = Some(self.weights.measurement(measurement_noise));
@@ -231,6 +235,17 @@ fn periods(time: f64, dt: f64, most: usize) -> usize {
     (time / dt).round().clamp(1.0, most as f64) as usize
 }
 
+/// The default of [`Settings::horizon`] for a period of `dt` s, the coefficient `friction` of the most slippery member, and a
+/// vehicle of this scale.
+fn default_horizon(dt: f64, friction: f64, scale: f64) -> usize {
+    let slippery = (SLIPPERY / friction).max(1.0).powf(2.0 / 3.0);
+    periods(
+        HORIZON * scale.sqrt() * slippery,
+        dt,
+        LONGEST_DEFAULT_HORIZON,
+    )
+}
+
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
@@ -272,9 +287,15 @@ mod tests {
 
     #[test]
     fn the_horizon_is_longer_if_a_member_is_slippery() {
-        let horizon = |friction| Settings::default().horizon(0.02, friction);
+        let horizon = |friction| default_horizon(0.02, friction, 1.0);
         let frictions = [1.1, 0.5, 0.3, 0.1, 0.01];
         assert_eq!(frictions.map(horizon), [40, 40, 56, 117, 120]);
+    }
+
+    #[test]
+    fn the_horizon_of_small_vehicles_is_shorter() {
+        let horizon = |scale| default_horizon(0.02, 1.0, scale);
+        assert_eq!([1.0, 0.25, 0.16, 1e-6].map(horizon), [40, 20, 16, 1]);
     }
 
     #[test]

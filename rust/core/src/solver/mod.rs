@@ -17,10 +17,9 @@ pub enum Status {
     Solved,
     /// The iteration limit was reached before convergence.
     IterationLimit,
-    /// The solver found that no point satisfies the hard bounds. Problems built by [`crate::ocp`] have such a point; there this
-    /// is an error of rounding in a badly scaled problem.
+    /// No sequence of inputs satisfies the hard bounds. Problems built by [`crate::ocp`] have such a sequence.
     Infeasible,
-    /// The solver broke down, or the problem contains a number that is not finite.
+    /// The solver broke down, it found a feasible problem infeasible, or the problem contains a number that is not finite.
     NumericalError,
     /// The solver reported success, but the KKT residual exceeds the tolerance, or the plan has states that no message may
     /// contain.
@@ -83,7 +82,8 @@ pub fn solve_with_fallback(
 }
 
 /// Solves and checks: unless the solver reports [`Status::Infeasible`], `out.status` is [`Status::Solved`] exactly if the KKT
-/// residual computed from `qp` is at most `kkt_tolerance`. Solver and `out` must have the horizon of `qp`.
+/// residual computed from `qp` is at most `kkt_tolerance`. A solver may report this of a badly scaled problem, too; only if no
+/// sequence of inputs satisfies the hard bounds it is the status. Solver and `out` must have the horizon of `qp`.
 pub fn solve_checked(
     solver: &mut dyn QpSolver,
     qp: &OcpQp,
@@ -92,6 +92,7 @@ pub fn solve_checked(
     out: &mut OcpSolution,
 ) -> Status {
     out.kkt = KktResidual::default();
+    out.cost = f64::INFINITY;
     out.iterations = 0;
     out.status = Status::NumericalError;
     if !qp.is_well_posed() {
@@ -99,6 +100,9 @@ pub fn solve_checked(
     }
     out.status = solver.solve(qp, guess, out);
     if out.status == Status::Infeasible {
+        if qp.has_feasible_inputs() {
+            out.status = Status::NumericalError;
+        }
         return out.status;
     }
     qp.check(out);

@@ -156,10 +156,7 @@ fn optional(names: [&'static str; 2], values: &[f64], expected: usize) -> Result
 
 /// Checks all shapes but those of the history.
 fn shapes(library: &Library, settings: &Settings, request: &StepRequest) -> Result<(), StepError> {
-    let (n, horizon) = (
-        library.members().len(),
-        settings.horizon(library.dt(), library.least_friction()),
-    );
+    let (n, horizon) = (library.members().len(), settings.horizon(library));
     let rows = horizon + 1;
     exact(["x", "[7]"], request.x, NX)?;
     exact(["u_prev", "[2]"], request.u_prev, NU)?;

@@ -113,7 +113,7 @@ impl Workspace {
     pub fn new(library: &Library, settings: &Settings) -> Result<Self, SetupError> {
         settings.validate()?;
         let (n, dt) = (library.members().len(), library.dt());
-        let horizon = settings.horizon(dt, library.least_friction());
+        let horizon = settings.horizon(library);
         let qp = OcpQp::new(horizon, soft_rows(&settings.soft));
         let solvers = solver::solvers(&qp, &settings.solver)?;
         let vehicle = settings.vehicle(library.vehicle());
@@ -171,6 +171,12 @@ impl Workspace {
     /// Name of the QP solver that ended with the last step's result; empty before the first step.
     pub fn solver_name(&self) -> &'static str {
         self.solver_name
+    }
+
+    /// The quadratic program that the last step solved, in the frame of the measured pose. A step that linearises several times
+    /// ends with the last one, unless that is not solved.
+    pub fn problem(&self) -> &OcpQp {
+        &self.qp
     }
 
     pub(super) fn belongs_to(
