@@ -2,23 +2,61 @@
 
 `solve_ocp` solves eq. (18) around given linear dynamics, `solve_weights` eq. (6) for given
 predictions, and `predict_residual` estimates what no member predicts; all are what the control
-step runs. Their docstrings give equations, shapes and units.
+step runs. `Controller.problem` returns the problem of a step. The docstrings give equations, shapes
+and units.
 """
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
 
 from egp_service._core import (
     OcpBounds,
+    OcpMultipliers,
     OcpResult,
     OcpWeights,
+    ocp_to_qp,
     predict_residual,
     solve_ocp,
     solve_weights,
 )
 
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
 __all__ = [
     "OcpBounds",
+    "OcpMultipliers",
+    "OcpProblem",
     "OcpResult",
     "OcpWeights",
+    "ocp_to_qp",
     "predict_residual",
     "solve_ocp",
     "solve_weights",
 ]
+
+
+class OcpProblem(NamedTuple):
+    """The optimal control problem of a control step: the arguments of `solve_ocp`, in their order.
+
+    Position and yaw are relative to the measured pose, which is zero in `x0`.
+    """
+
+    A: NDArray[np.float64]
+    """Dynamics (T, 7, 7)."""
+    B: NDArray[np.float64]
+    """Dynamics (T, 7, 2)."""
+    c: NDArray[np.float64]
+    """Dynamics (T, 7)."""
+    x0: NDArray[np.float64]
+    """State (7,) at which the plan starts."""
+    u_prev: NDArray[np.float64]
+    """Acceleration in m/s² and steering rate in rad/s (2,) that are applied now."""
+    reference: NDArray[np.float64]
+    """Reference (T, 7) of x_1..x_T."""
+    weights: OcpWeights
+    """Cost."""
+    bounds: OcpBounds
+    """Bounds."""

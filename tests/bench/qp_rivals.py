@@ -18,7 +18,7 @@ from qp_problems import Condensed, arguments
 from scipy import sparse
 
 from egp_service._core import solve_ocp
-from egp_service._core.testing import ocp_to_qp
+from egp_service.optimal_control import ocp_to_qp
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -92,8 +92,8 @@ class RoadBelief:
         each place may be on a patch.
 
         Raises:
-            InvalidArgumentError: unless the places are within ±1e9 m, their distances are equal and
-                they cover at most 10 km, and `risk` is between 0 and 1.
+            InvalidArgumentError: unless the places are within ±1e9 m, they increase with equal
+                distances and cover at most 10 km, and `risk` is between 0 and 1.
 
         """
     def preview(self, places: ArrayLike) -> NDArray[np.float64]:
@@ -104,8 +104,9 @@ class RoadBelief:
         decrease.
 
         Raises:
-            InvalidArgumentError: unless there are at least two places, which do not decrease, are
-                within ±1e9 m and cover at most 10 km.
+            InvalidArgumentError: unless there are at least two places, which do not decrease and
+                are within ±1e9 m, and the road from the oldest place of the window to the last one
+                is at most 10 km long.
 
         """
     def quantiles(self, s: ArrayLike, share: float) -> NDArray[np.float64]:

@@ -11,8 +11,10 @@ class OcpWeights:
 
     q (T, 7, 7) weights the error of the state after each input; it is symmetric, with a block for
     the position and a diagonal. Diagonals r (2,), positive, weight inputs, and r_d (2,) their
-    changes, the first of which is from `u_prev`. Without its axis T, q holds for all stages. States
-    and inputs have the units of `solve_ocp`.
+    changes, the first of which is from `u_prev`. The proximal term, none by default, weights the
+    difference of each input to that of the previous plan, `planned` (T, 2), with a diagonal
+    `proximal` (T, 2), at least 0. Arrays without their axis T hold for all stages. States and
+    inputs have the units of `solve_ocp`. Attributes are copies.
 
     Raises:
         InvalidArgumentError: unless r and r_d have the shape (2,), r is positive and r_d at least
@@ -20,7 +22,25 @@ class OcpWeights:
 
     """
 
-    def __new__(cls, *, q: ArrayLike, r: ArrayLike, r_d: ArrayLike) -> OcpWeights: ...
+    def __new__(
+        cls,
+        *,
+        q: ArrayLike,
+        r: ArrayLike,
+        r_d: ArrayLike,
+        proximal: ArrayLike | None = None,
+        planned: ArrayLike | None = None,
+    ) -> OcpWeights: ...
+    @property
+    def q(self) -> NDArray[np.float64]: ...
+    @property
+    def r(self) -> NDArray[np.float64]: ...
+    @property
+    def r_d(self) -> NDArray[np.float64]: ...
+    @property
+    def proximal(self) -> NDArray[np.float64]: ...
+    @property
+    def planned(self) -> NDArray[np.float64]: ...
 
 @final
 class OcpBounds:
@@ -31,7 +51,7 @@ class OcpBounds:
     violation s costs `linear * s + 1/2 quadratic * s^2` with positive penalty rows [linear,
     quadratic] (n, 2). The first row may involve v_x, the second delta, the third p_x and p_y, the
     fourth v_y, the fifth omega; a row of zeros bounds nothing. Arrays without their axis T hold for
-    all stages. States and inputs have the units of `solve_ocp`.
+    all stages. States and inputs have the units of `solve_ocp`. Attributes are copies.
 
     Raises:
         InvalidArgumentError: unless penalty has at most five rows, all finite and positive.
@@ -51,6 +71,22 @@ class OcpBounds:
         soft_upper: ArrayLike | None = None,
         penalty: ArrayLike | None = None,
     ) -> OcpBounds: ...
+    @property
+    def u_min(self) -> NDArray[np.float64]: ...
+    @property
+    def u_max(self) -> NDArray[np.float64]: ...
+    @property
+    def du_min(self) -> NDArray[np.float64]: ...
+    @property
+    def du_max(self) -> NDArray[np.float64]: ...
+    @property
+    def soft_normal(self) -> NDArray[np.float64]: ...
+    @property
+    def soft_lower(self) -> NDArray[np.float64]: ...
+    @property
+    def soft_upper(self) -> NDArray[np.float64]: ...
+    @property
+    def penalty(self) -> NDArray[np.float64]: ...
 
 @final
 class OcpResult:
@@ -58,13 +94,25 @@ class OcpResult:
 
     @property
     def status(self) -> str:
-        """One of "solved", "iteration_limit", "infeasible", "numerical_error", "check_failed"."""
+        """One of "solved", "iteration_limit", "infeasible", "numerical_error", "check_failed".
+
+        "infeasible" means that no sequence of inputs satisfies the hard bounds.
+        """
     @property
     def x(self) -> NDArray[np.float64]:
         """States (T+1, 7), `[p_x, p_y, v_x, psi, v_y, omega, delta]` in SI units."""
     @property
     def u(self) -> NDArray[np.float64]:
         """Inputs (T, 2): acceleration in m/s² and steering rate in rad/s."""
+    @property
+    def cost(self) -> float:
+        """Cost of the inputs `u`, with the penalties of violated soft rows.
+
+        Infinite if the solver gave none.
+        """
+    @property
+    def multipliers(self) -> OcpMultipliers:
+        """Lagrange multipliers of the inequalities, for the rows as they were stated."""
     @property
     def iterations(self) -> int:
         """Iterations of the last solver."""
@@ -80,6 +128,33 @@ class OcpResult:
     @property
     def seconds(self) -> float:
         """Shortest time of all repetitions, s, with the check of the residual."""
+
+@final
+class OcpMultipliers:
+    """Lagrange multipliers of the inequalities of `solve_ocp`, all at least 0 at a solution.
+
+    Each is the derivative of the cost in its bound: in a lower one, and in an upper one the
+    negative derivative. Rows are the stages, columns the inputs or the soft rows.
+    """
+
+    @property
+    def u_min(self) -> NDArray[np.float64]:
+        """Multipliers (T, 2) of the lower bounds of inputs."""
+    @property
+    def u_max(self) -> NDArray[np.float64]:
+        """Multipliers (T, 2) of the upper bounds of inputs."""
+    @property
+    def du_min(self) -> NDArray[np.float64]:
+        """Multipliers (T, 2) of the lower bounds of changes of inputs."""
+    @property
+    def du_max(self) -> NDArray[np.float64]:
+        """Multipliers (T, 2) of the upper bounds of changes of inputs."""
+    @property
+    def soft_lower(self) -> NDArray[np.float64]:
+        """Multipliers (T, n) of `soft_lower - s <= soft_normal x`, with the violation s."""
+    @property
+    def soft_upper(self) -> NDArray[np.float64]:
+        """Multipliers (T, n) of `soft_normal x <= soft_upper + s`, with the violation s."""
 
 def solve_ocp(
     A: ArrayLike,
@@ -135,7 +210,47 @@ def solve_ocp(
     True
 
     Raises:
-        InvalidArgumentError: for a wrong shape, numbers that are not finite, or bounds that cross.
+        InvalidArgumentError: for a wrong shape, numbers that are not finite, bounds that cross, and
+            entries where the equations have none; it names the argument and the stage.
+
+    """
+
+def ocp_to_qp(
+    A: ArrayLike,
+    B: ArrayLike,
+    c: ArrayLike,
+    x0: ArrayLike,
+    u_prev: ArrayLike,
+    reference: ArrayLike,
+    weights: OcpWeights,
+    bounds: OcpBounds,
+) -> tuple[
+    tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]],
+    NDArray[np.float64],
+    tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]],
+    NDArray[np.float64],
+    NDArray[np.float64],
+]:
+    """Write an optimal control problem as `min 1/2 z'Pz + q'z` subject to `l <= Az <= u`.
+
+    For other solvers, such as OSQP. The arguments are those of `solve_ocp`. Returns P (upper
+    triangle), q (n,), A, l (m,) and u (m,), where an absent bound is infinite. P and A are in
+    compressed sparse columns: values, row indices and column starts, as `scipy.sparse.csc_array`
+    takes them. `z` has, stage by stage, the inputs `u_t` (2,), `x_{t+1} - reference_{t+1}` (7,) and
+    the violations of the soft rows.
+
+    >>> import numpy as np
+    >>> from egp_service.optimal_control import OcpBounds, OcpWeights, ocp_to_qp
+    >>> weights = OcpWeights(q=np.eye(7), r=[1, 1], r_d=[0, 0])
+    >>> bounds = OcpBounds(u_min=[-1, -1], u_max=[1, 1], du_min=[-1, -1], du_max=[1, 1])
+    >>> zero = np.zeros(7)
+    >>> problem = np.eye(7)[None], np.zeros((7, 2)), zero, zero, [0, 0], zero, weights, bounds
+    >>> (values, rows, starts), q, A, l, u = ocp_to_qp(*problem)
+    >>> q.shape, l.shape, starts.tolist()
+    ((9,), (11,), [0, 1, 2, 3, 5, 6, 7, 8, 9, 10])
+
+    Raises:
+        InvalidArgumentError: as for `solve_ocp`.
 
     """
 

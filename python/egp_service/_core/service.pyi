@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from egp_service._core.driver import Decision
+from egp_service._core.optimal_control import OcpBounds, OcpWeights
 from egp_service._core.vehicle import VehicleParameters
 from egp_service._core.wire import Ready
 
@@ -19,6 +20,18 @@ class Engine:
         cls, library_path: str | PathLike[str], settings_toml: str = "", *, cores: int = 1
     ) -> Engine: ...
     def step(self, request: bytes) -> bytes: ...
+    def problem(
+        self, request: bytes
+    ) -> tuple[
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.float64],
+        NDArray[np.float64],
+        OcpWeights,
+        OcpBounds,
+    ]: ...
     @property
     def dt(self) -> float: ...
     @property

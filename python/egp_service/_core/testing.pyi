@@ -10,7 +10,6 @@ from typing import Final, Literal, Self, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from egp_service._core.optimal_control import OcpBounds, OcpWeights
 from egp_service._core.plant import Plant
 
 MAP_HEALTH_KEY: str
@@ -68,22 +67,6 @@ class MapServer:
         /,
     ) -> None: ...
 
-def ocp_to_qp(
-    A: ArrayLike,
-    B: ArrayLike,
-    c: ArrayLike,
-    x0: ArrayLike,
-    u_prev: ArrayLike,
-    reference: ArrayLike,
-    weights: OcpWeights,
-    bounds: OcpBounds,
-) -> tuple[
-    tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]],
-    NDArray[np.float64],
-    tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]],
-    NDArray[np.float64],
-    NDArray[np.float64],
-]: ...
 def plant_derivative(
     state: ArrayLike,
     u: ArrayLike,

@@ -19,6 +19,7 @@ from egp_service._core import (
 )
 from egp_service.control.step import StepController, as_dict
 from egp_service.control.toml_text import dumps
+from egp_service.optimal_control import OcpProblem
 
 if TYPE_CHECKING:
     from egp_service._core import Decision
@@ -73,7 +74,36 @@ class Controller(StepController):
         self.settings = _read_only(tomllib.loads(engine.settings_toml))
         self.stated_settings = _read_only(tomllib.loads(text))
         self.library_file = Path(library).absolute()
+        self._engine = engine
         self._driver = InProcessDriver(engine, gate=as_dict(gate), want_sigma=want_sigma)
+
+    def problem(self, request: bytes) -> OcpProblem:
+        """Return the optimal control problem that the step of a request solves.
+
+        `request` is that of a `Step` or of a recorded step, with the library and the settings of
+        this controller. The problem is that of the step's last linearisation.
+
+        >>> import numpy as np
+        >>> from egp_service import Controller, Plant, shipped
+        >>> from egp_service.optimal_control import solve_ocp
+        >>> limits = Plant().parameters.gate_limits()
+        >>> with Controller(shipped.DEMO_LIBRARY, gate=limits) as controller:
+        ...     s = 0.3 * np.arange(controller.horizon + 1)
+        ...     reference = np.column_stack([s, 0 * s, 0 * s + 15.0, 0 * s])
+        ...     step = controller.step([0.0, 0.2, 15.0, 0.0, 0.0, 0.0, 0.0], reference)
+        ...     problem = controller.problem(step.request)
+        >>> result = solve_ocp(*problem)
+        >>> result.status, result.u.shape
+        ('solved', (40, 2))
+        >>> mass = Plant().parameters.mass
+        >>> bool(np.allclose(result.u * [mass, 1.0], step.plan_u, atol=1e-4))
+        True
+
+        Raises:
+            RefusedError: for bytes that are no request of this library.
+
+        """
+        return OcpProblem(*self._engine.problem(request))
 
     def _decide(self, start: float, budget: float, measured: Measured) -> Decision:
         del start  # the driver needs no time, because the engine is in this process
@@ -81,13 +111,14 @@ class Controller(StepController):
 
 
 def _read_only(settings: Mapping[str, object]) -> Mapping[str, object]:
-    """Return settings whose tables cannot be changed."""
-    return MappingProxyType(
-        {
-            name: _read_only(value) if isinstance(value, Mapping) else value
-            for name, value in settings.items()
-        }
-    )
+    """Return settings whose tables and lists cannot be changed; lists become tuples."""
+    return MappingProxyType({name: _fixed(value) for name, value in settings.items()})
+
+
+def _fixed(value: object) -> object:
+    if isinstance(value, Mapping):
+        return _read_only(value)
+    return tuple(value) if isinstance(value, list) else value
 
 
 def _text(settings: str | Mapping[str, object] | Path) -> str:

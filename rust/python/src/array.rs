@@ -4,7 +4,9 @@ use std::ops::Deref;
 
 use numpy::ndarray::{ArrayD, ArrayViewD, Dimension, IntoDimension, Ix1, Ix2, Ix3, IxDyn};
 use numpy::{AllowTypeChange, Element, IntoPyArray, PyArrayLike, PyReadonlyArray};
-use numpy::{PyArray, PyArray1, PyArray2, PyArray3, PyArrayDescrMethods, PyArrayMethods};
+use numpy::{
+    PyArray, PyArray1, PyArray2, PyArray3, PyArrayDescrMethods, PyArrayDyn, PyArrayMethods,
+};
 use numpy::{PyUntypedArray, PyUntypedArrayMethods, get_array_module};
 use pyo3::exceptions::{PyOverflowError, PyTypeError, PyValueError};
 use pyo3::intern;
@@ -85,6 +87,8 @@ pub type ArrayView<'a> = ArrayViewD<'a, f64>;
 pub type NewVector<'py, T = f64> = Bound<'py, PyArray1<T>>;
 /// A matrix for Python.
 pub type NewMatrix<'py> = Bound<'py, PyArray2<f64>>;
+/// An array of any dimension for Python.
+pub type NewArray<'py> = Bound<'py, PyArrayDyn<f64>>;
 /// A three-dimensional array for Python.
 pub type NewCube<'py> = Bound<'py, PyArray3<f64>>;
 

@@ -168,6 +168,11 @@ impl RoadBelief {
             (Some(first), None) => (*first, 1.0),
             _ => return Ok(vector(py, [])),
         };
+        if step <= 0.0 {
+            return Err(InvalidArgumentError::new_err(format!(
+                "expected places that increase, got steps of {step} m"
+            )));
+        }
         let mut friction = vec![0.0; places.len()];
         self.0
             .ahead(start, step, risk, &mut friction)

@@ -24,6 +24,9 @@ mod parameters;
 mod path;
 mod plant;
 mod problem;
+mod problem_arguments;
+mod problem_checks;
+mod problem_export;
 mod programs;
 mod projection;
 mod residual;
@@ -33,6 +36,7 @@ mod surface;
 mod testing;
 mod text;
 mod traces;
+mod weights;
 mod wire;
 
 /// The private extension module behind `egp_service`; each submodule has a stub of its name.
@@ -97,11 +101,13 @@ mod _core {
     #[pymodule]
     mod optimal_control {
         #[pymodule_export]
-        use crate::ocp::{OcpResult, solve_ocp, solve_weights};
+        use crate::ocp::{OcpMultipliers, OcpResult, ocp_to_qp, solve_ocp};
         #[pymodule_export]
         use crate::problem::{OcpBounds, OcpWeights};
         #[pymodule_export]
         use crate::residual::predict_residual;
+        #[pymodule_export]
+        use crate::weights::solve_weights;
     }
 
     #[pymodule]
@@ -151,7 +157,7 @@ mod _core {
         use crate::gate::{Command, Gate};
         #[pymodule_export]
         use crate::testing::{
-            MapServer, decode_timing, live_key, ocp_to_qp, plant_derivative, plant_initial_states,
+            MapServer, decode_timing, live_key, plant_derivative, plant_initial_states,
             plant_lateral_acceleration, ready_key, step_key,
         };
         #[pymodule_export]

@@ -1,24 +1,23 @@
-//! The QP of a step and that of the weights by themselves, for comparison with other solvers.
+//! The QP of a step by itself, for comparison with other solvers.
 
 use std::time::Instant;
 
-use egp_core::settings::{Prior, SolverKind, SolverSettings};
+use egp_core::qp::{Csc, Multipliers, SOFT_PATTERN, SparseQp};
+use egp_core::settings::{SolverKind, SolverSettings};
 use egp_core::solver::{solve_with_fallback, solvers};
-use egp_core::weights::{WeightEstimator, WindowNoise};
-use egp_core::{GpOutput, Input, NU, NX, NY, OcpSolution};
+use egp_core::{Input, NU, NX, OcpQp, OcpSolution};
 use egp_wire::status_name;
+use numpy::PyArrayMethods;
 use pyo3::prelude::*;
 use serde::Deserialize as _;
 use serde::de::IntoDeserializer as _;
 use serde::de::value::Error;
 
-use crate::array::{ArrayLike, Cube, KeptMatrix, Matrix, NewVector, Vector};
-use crate::array::{array, fixed, rows, vector, wrong_shape};
+use crate::array::{ArrayLike, KeptMatrix, Matrix, NewVector, Vector};
+use crate::array::{array, rows, vector, wrong_shape};
 use crate::error::{InvalidArgumentError, raise};
-use crate::problem::{Arrays, OcpBounds, OcpWeights, scale_soft_rows};
-
-/// Largest strength of the weights' prior, with which its products with weights are finite.
-const MOST_STRENGTH: f64 = 1e300;
+use crate::problem::{OcpBounds, OcpWeights};
+use crate::problem_arguments::Arrays;
 
 #[doc = doc!(OcpResult)]
 #[pyclass(frozen, get_all, module = "egp_service._core")]
@@ -29,6 +28,10 @@ pub struct OcpResult {
     x: KeptMatrix,
     #[doc = doc!(OcpResult.u)]
     u: KeptMatrix,
+    #[doc = doc!(OcpResult.cost)]
+    cost: f64,
+    #[doc = doc!(OcpResult.multipliers)]
+    multipliers: Py<OcpMultipliers>,
     #[doc = doc!(OcpResult.iterations)]
     iterations: u32,
     #[doc = doc!(OcpResult.kkt_residual)]
@@ -44,6 +47,7 @@ impl OcpResult {
     fn __repr__(&self) -> String {
         let Self {
             status,
+            cost,
             iterations,
             kkt_residual,
             solver,
@@ -51,9 +55,34 @@ impl OcpResult {
             ..
         } = self;
         format!(
-            "OcpResult(status='{status}', iterations={iterations}, kkt_residual={kkt_residual:.1e}, solver='{solver}', \
+            "OcpResult(status='{status}', cost={cost:.6}, iterations={iterations}, kkt_residual={kkt_residual:.1e}, solver='{solver}', \
              seconds={seconds:.1e})"
         )
+    }
+}
+
+#[doc = doc!(OcpMultipliers)]
+#[pyclass(frozen, get_all, module = "egp_service._core")]
+pub struct OcpMultipliers {
+    #[doc = doc!(OcpMultipliers.u_min)]
+    u_min: KeptMatrix,
+    #[doc = doc!(OcpMultipliers.u_max)]
+    u_max: KeptMatrix,
+    #[doc = doc!(OcpMultipliers.du_min)]
+    du_min: KeptMatrix,
+    #[doc = doc!(OcpMultipliers.du_max)]
+    du_max: KeptMatrix,
+    #[doc = doc!(OcpMultipliers.soft_lower)]
+    soft_lower: KeptMatrix,
+    #[doc = doc!(OcpMultipliers.soft_upper)]
+    soft_upper: KeptMatrix,
+}
+
+#[pymethods]
+impl OcpMultipliers {
+    fn __repr__(&self, py: Python<'_>) -> String {
+        let horizon = self.u_min.bind(py).dims()[0];
+        format!("OcpMultipliers(stages={horizon})")
     }
 }
 
@@ -86,7 +115,8 @@ pub fn solve_ocp<'py>(
         weights,
         bounds,
     };
-    let mut qp = arrays.problem()?;
+    let stated = arrays.problem()?;
+    let mut qp = stated.clone();
     scale_soft_rows(&mut qp);
     let kind = SolverKind::deserialize(solver.into_deserializer())
         .map_err(|error: Error| InvalidArgumentError::new_err(format!("solver: {error}")))?;
@@ -127,23 +157,18 @@ pub fn solve_ocp<'py>(
         }
         (solver, seconds)
     });
-    result(py, &solution, solver, seconds)
-}
-
-/// A solution as an object of Python.
-pub fn result(
-    py: Python<'_>,
-    solution: &OcpSolution,
-    solver: &'static str,
-    seconds: f64,
-) -> PyResult<OcpResult> {
     let flat = |rows: &mut dyn Iterator<Item = f64>| rows.collect::<Vec<_>>();
     let x = flat(&mut solution.x.iter().flat_map(|x| x.iter().copied()));
     let u = flat(&mut solution.u.iter().flat_map(|u| u.iter().copied()));
+    for (t, multipliers) in solution.multipliers.iter_mut().enumerate() {
+        unscale(multipliers, &stated, &qp, t);
+    }
     Ok(OcpResult {
         status: status_name(egp_engine::status(solution.status)),
         x: array(py, x, [solution.x.len(), NX])?.unbind(),
         u: array(py, u, [solution.u.len(), NU])?.unbind(),
+        cost: solution.cost,
+        multipliers: Py::new(py, multipliers(py, &solution, qp.n_soft())?)?,
         iterations: solution.iterations,
         kkt_residual: solution.kkt.worst(),
         solver,
@@ -151,125 +176,126 @@ pub fn result(
     })
 }
 
-#[doc = doc!(solve_weights)]
+/// The multipliers of a solution as arrays, of which those of soft rows have `n_soft` columns.
+fn multipliers(py: Python<'_>, solution: &OcpSolution, n_soft: usize) -> PyResult<OcpMultipliers> {
+    let columns = |width: usize, of: &dyn Fn(&Multipliers) -> &[f64]| {
+        let stages = solution.multipliers.iter();
+        let values = stages.flat_map(|stage| of(stage)[..width].iter().copied());
+        let made = array(py, values.collect(), [solution.multipliers.len(), width])?;
+        PyResult::Ok(made.unbind())
+    };
+    Ok(OcpMultipliers {
+        u_min: columns(NU, &|of| of.u_lower.as_slice())?,
+        u_max: columns(NU, &|of| of.u_upper.as_slice())?,
+        du_min: columns(NU, &|of| of.du_lower.as_slice())?,
+        du_max: columns(NU, &|of| of.du_upper.as_slice())?,
+        soft_lower: columns(n_soft, &|of| &of.soft_lower)?,
+        soft_upper: columns(n_soft, &|of| &of.soft_upper)?,
+    })
+}
+
+/// Gives soft rows on one state the normal 1, which the default solver assumes, with bounds and penalty of the same
+/// problem. A row whose normal has different magnitudes at the stages keeps them, because it has only one penalty.
+fn scale_soft_rows(qp: &mut OcpQp) {
+    for (j, pattern) in SOFT_PATTERN.iter().enumerate().take(qp.n_soft()) {
+        let &[state] = *pattern else { continue };
+        let normals = || {
+            qp.stages()
+                .iter()
+                .map(|stage| stage.soft[j].normal[state].abs())
+        };
+        let size = normals().fold(0.0, f64::max);
+        let other = normals().any(|normal| normal != 0.0 && normal != size);
+        if other || !(1e-6..=1e6).contains(&size) {
+            continue;
+        }
+        for row in qp.stages_mut().iter_mut().map(|stage| &mut stage.soft[j]) {
+            let normal = row.normal[state];
+            if normal != 0.0 && normal != 1.0 {
+                let ends = [row.lower / normal, row.upper / normal];
+                (row.lower, row.upper) = (ends[0].min(ends[1]), ends[0].max(ends[1]));
+                row.normal[state] = 1.0;
+            }
+        }
+        qp.penalty[j].linear *= size;
+        qp.penalty[j].quadratic *= size * size;
+    }
+}
+
+/// Changes the multipliers of a stage from those of the scaled soft rows to those of the stated ones.
+fn unscale(multipliers: &mut Multipliers, stated: &OcpQp, scaled: &OcpQp, t: usize) {
+    for (j, pattern) in SOFT_PATTERN.iter().enumerate().take(stated.n_soft()) {
+        let &[state] = *pattern else { continue };
+        let normal = |qp: &OcpQp| qp.stages()[t].soft[j].normal[state];
+        if normal(stated) == normal(scaled) {
+            continue;
+        }
+        let factor = normal(scaled) / normal(stated);
+        let (lower, upper) = (
+            &mut multipliers.soft_lower[j],
+            &mut multipliers.soft_upper[j],
+        );
+        if factor < 0.0 {
+            std::mem::swap(lower, upper);
+        }
+        *lower *= factor.abs();
+        *upper *= factor.abs();
+    }
+}
+
+/// Values, row indices and column starts of a sparse matrix.
+type Sparse<'py> = (NewVector<'py>, NewVector<'py, i64>, NewVector<'py, i64>);
+/// `P` (upper triangle), `q`, `A`, `l`, `u`.
+type SparseProblem<'py> = (
+    Sparse<'py>,
+    NewVector<'py>,
+    Sparse<'py>,
+    NewVector<'py>,
+    NewVector<'py>,
+);
+
+fn sparse<'py>(py: Python<'py>, matrix: &Csc) -> Sparse<'py> {
+    // Indices of matrices that fit into memory fit into i64.
+    #[allow(clippy::cast_possible_wrap)]
+    let indices = |of: &[usize]| vector(py, of.iter().map(|&index| index as i64));
+    (
+        vector(py, matrix.values.iter().copied()),
+        indices(&matrix.row_index),
+        indices(&matrix.column_start),
+    )
+}
+
+#[doc = doc!(ocp_to_qp)]
 #[pyfunction]
-#[pyo3(signature = (predictions, measured, noise_std, previous, prior, strength, measurement_std=None))]
-#[expect(clippy::too_many_arguments, reason = "a keyword each in Python")]
-pub fn solve_weights<'py>(
+#[pyo3(signature = (A, B, c, x0, u_prev, reference, weights, bounds))]
+#[allow(non_snake_case, clippy::too_many_arguments)] // the paper's symbols
+pub fn ocp_to_qp<'py>(
     py: Python<'py>,
-    predictions: Cube<'py>,
-    measured: Matrix<'py>,
-    noise_std: Vector<'py>,
-    previous: Vector<'py>,
-    prior: &str,
-    strength: f64,
-    measurement_std: Option<Vector<'py>>,
-) -> PyResult<NewVector<'py>> {
-    let measured = rows::<NY>("measured", &measured)?;
-    let noise = GpOutput::from(fixed::<NY>("noise_std", &noise_std)?);
-    let state_noise = match &measurement_std {
-        Some(std) => GpOutput::from(fixed::<NY>("measurement_std", std)?),
-        None => GpOutput::zeros(),
+    A: ArrayLike<'py>,
+    B: ArrayLike<'py>,
+    c: ArrayLike<'py>,
+    x0: Vector<'py>,
+    u_prev: Vector<'py>,
+    reference: ArrayLike<'py>,
+    weights: &OcpWeights,
+    bounds: &OcpBounds,
+) -> PyResult<SparseProblem<'py>> {
+    let arrays = Arrays {
+        a: &A,
+        b: &B,
+        c: &c,
+        x0: &x0,
+        u_prev: &u_prev,
+        reference: &reference,
+        weights,
+        bounds,
     };
-    let previous: Vec<f64> = previous.as_array().iter().copied().collect();
-    let shape = [measured.len(), previous.len(), NY];
-    if predictions.as_array().shape() != shape {
-        let expected = format!("({}, {}, {NY})", shape[0], shape[1]);
-        return Err(wrong_shape(
-            "predictions",
-            &expected,
-            predictions.as_array().shape(),
-        ));
-    }
-    let prior = checked_prior(prior, strength)?;
-    let predictions: Vec<f64> = predictions.as_array().iter().copied().collect();
-    check_domains(&predictions, &measured, [&noise, &state_noise], &previous)?;
-    let mut w = vec![0.0; previous.len()];
-    py.detach(|| {
-        WeightEstimator::new(previous.len(), measured.len()).estimate(
-            &predictions,
-            &measured,
-            &WindowNoise::new(&noise, &state_noise, measured.len()),
-            prior,
-            &previous,
-            &mut w,
-        )
-    });
-    let squares = errors_squared(&predictions, &measured, &noise);
-    if !squares.is_finite() || !w.iter().all(|w| w.is_finite()) {
-        return Err(InvalidArgumentError::new_err(
-            "the squares of the errors over noise_std are too large for a number: check the units",
-        ));
-    }
-    Ok(vector(py, w))
-}
-
-/// The prior of the weights with this name and strength.
-fn checked_prior(name: &str, strength: f64) -> PyResult<Prior> {
-    let prior = match name {
-        "quadratic" => Prior::Quadratic { lambda: strength },
-        "l1" => Prior::L1 { alpha: strength },
-        other => {
-            return Err(InvalidArgumentError::new_err(format!(
-                "prior must be \"quadratic\" or \"l1\", got {other:?}"
-            )));
-        }
-    };
-    if !(0.0..=MOST_STRENGTH).contains(&strength) {
-        return Err(InvalidArgumentError::new_err(format!(
-            "strength must be a number from 0 to {MOST_STRENGTH:e}, got {strength}"
-        )));
-    }
-    Ok(prior)
-}
-
-/// Errors unless the numbers of [`solve_weights`] are in their domains; the standard deviations are those of the errors of the
-/// predictions and of the measured states.
-fn check_domains(
-    predictions: &[f64],
-    measured: &[[f64; NY]],
-    [noise, state_noise]: [&GpOutput; 2],
-    previous: &[f64],
-) -> PyResult<()> {
-    let mut numbers = predictions.iter().chain(measured.as_flattened());
-    let sum: f64 = previous.iter().sum();
-    // Within these bounds the squares of the standard deviations are finite, and those of `noise_std` are not zero.
-    for (valid, expected) in [
-        (
-            numbers.all(|v| v.is_finite()),
-            "finite predictions and measured changes",
-        ),
-        (
-            noise.iter().all(|std| (1e-100..1e100).contains(std)),
-            "noise_std from 1e-100 to 1e100",
-        ),
-        (
-            state_noise.iter().all(|std| (0.0..1e100).contains(std)),
-            "measurement_std from 0 to 1e100",
-        ),
-        (
-            previous.iter().all(|w| *w >= 0.0) && (sum - 1.0).abs() <= 1e-9,
-            "previous weights on the simplex, not negative and with the sum 1",
-        ),
-    ] {
-        if !valid {
-            let message = format!("expected {expected}");
-            return Err(InvalidArgumentError::new_err(message));
-        }
-    }
-    Ok(())
-}
-
-/// Sum of the squares of all errors, in standard deviations of the noise. Predictions are ordered by transition and member.
-fn errors_squared(predictions: &[f64], measured: &[[f64; NY]], noise: &GpOutput) -> f64 {
-    let members = predictions.len() / (NY * measured.len().max(1));
-    let (rows, _) = predictions.as_chunks::<NY>();
-    let measured = measured
-        .iter()
-        .flat_map(|row| std::iter::repeat_n(row, members));
-    let errors = rows.iter().zip(measured).flat_map(|(row, measured)| {
-        let pairs = row.iter().zip(measured).zip(noise.iter());
-        pairs.map(|((predicted, measured), std)| (predicted - measured) / std)
-    });
-    errors.map(|error| error * error).sum()
+    let qp = SparseQp::new(&arrays.problem()?);
+    Ok((
+        sparse(py, &qp.p),
+        vector(py, qp.q.iter().copied()),
+        sparse(py, &qp.a),
+        vector(py, qp.l.iter().copied()),
+        vector(py, qp.u.iter().copied()),
+    ))
 }

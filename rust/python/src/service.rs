@@ -20,12 +20,14 @@ use crate::driver::Decision;
 use crate::driver_arguments::{driver_config, measurement, within};
 use crate::error::{InvalidArgumentError, RefusedError, raise};
 use crate::parameters::VehicleParameters;
+use crate::problem_export::{Problem, arguments};
 use crate::text::list;
 
 /// The control step of the service in this process: the same request gives the same bytes of a reply.
 ///
 /// `settings_toml` holds the settings of the control step; fields left out keep their default, which is 0.5 s for the
-/// window and 0.8 s for the horizon, longer with a member of a friction below 0.5, and at most 120 periods. With more than
+/// window and 0.8 s for the horizon, shorter for small vehicles, longer with a member of a friction below 0.5, and at most 120
+/// periods. With more than
 /// one of `cores` (no more than the machine has), members are evaluated in parallel where that takes half a millisecond or more: standard deviations of four
 /// active members of 700 points, for example, but not of two. The bytes of a reply do not depend on `cores`. An engine
 /// with several cores does not work in a forked process, which does not inherit its threads. Raises `InvalidArgumentError` for
@@ -83,6 +85,17 @@ impl Engine {
         py.detach(|| self.answer(request))
             .map(Into::into)
             .map_err(|error| refused(&error))
+    }
+
+    /// Return the optimal control problem that the step of a request solves, as the arguments of `solve_ocp`.
+    fn problem<'py>(&self, py: Python<'py>, request: &[u8]) -> PyResult<Problem<'py>> {
+        let solved = py.detach(|| {
+            let mut workspace = self.inner.workspace()?;
+            self.inner.step(&mut workspace, request, &mut Vec::new())?;
+            Ok(workspace)
+        });
+        let workspace = solved.map_err(|error| refused(&error))?;
+        arguments(py, workspace.problem())
     }
 
     /// Control period in s.

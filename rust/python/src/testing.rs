@@ -1,80 +1,18 @@
-//! What only tests and benchmarks call: parts of plant, solver and wire by themselves.
+//! What only tests and benchmarks call: parts of plant and wire by themselves.
 
 use std::sync::{Mutex, PoisonError};
 
-use egp_core::qp::{Csc, SparseQp};
 use egp_plant::{Parameters, Surface, VehicleId, VehicleState};
 use egp_service::map::MapConfig;
 use egp_wire::keys;
 use prost::Message as _;
 use pyo3::prelude::*;
 
-use crate::array::{ArrayLike, Matrix, NewMatrix, NewVector, Vector};
+use crate::array::{Matrix, NewMatrix, NewVector, Vector};
 use crate::array::{fixed, rows, vector};
 use crate::error::{InvalidArgumentError, raise};
 use crate::plant::{Plant, plant_error};
-use crate::problem::{Arrays, OcpBounds, OcpWeights};
 use crate::wire::{matrix, name};
-
-/// Values, row indices and column starts of a sparse matrix.
-type Sparse<'py> = (NewVector<'py>, NewVector<'py, i64>, NewVector<'py, i64>);
-/// `P` (upper triangle), `q`, `A`, `l`, `u`.
-type SparseProblem<'py> = (
-    Sparse<'py>,
-    NewVector<'py>,
-    Sparse<'py>,
-    NewVector<'py>,
-    NewVector<'py>,
-);
-
-fn sparse<'py>(py: Python<'py>, matrix: &Csc) -> Sparse<'py> {
-    // Indices of matrices that fit into memory fit into i64.
-    #[allow(clippy::cast_possible_wrap)]
-    let indices = |of: &[usize]| vector(py, of.iter().map(|&index| index as i64));
-    (
-        vector(py, matrix.values.iter().copied()),
-        indices(&matrix.row_index),
-        indices(&matrix.column_start),
-    )
-}
-
-/// Write an optimal control problem as `min 1/2 z'Pz + q'z` subject to `l <= Az <= u`.
-///
-/// Returns P (upper triangle), q, A, l, u; matrices as (values, row indices, column starts). `z` holds, stage by stage,
-/// `u_t`, `x_{t+1} - reference_{t+1}` and the slacks. Arguments as of `solve_ocp`.
-#[pyfunction]
-#[pyo3(signature = (A, B, c, x0, u_prev, reference, weights, bounds))]
-#[allow(non_snake_case, clippy::too_many_arguments)] // the paper's symbols
-pub fn ocp_to_qp<'py>(
-    py: Python<'py>,
-    A: ArrayLike<'py>,
-    B: ArrayLike<'py>,
-    c: ArrayLike<'py>,
-    x0: Vector<'py>,
-    u_prev: Vector<'py>,
-    reference: ArrayLike<'py>,
-    weights: &OcpWeights,
-    bounds: &OcpBounds,
-) -> PyResult<SparseProblem<'py>> {
-    let arrays = Arrays {
-        a: &A,
-        b: &B,
-        c: &c,
-        x0: &x0,
-        u_prev: &u_prev,
-        reference: &reference,
-        weights,
-        bounds,
-    };
-    let qp = SparseQp::new(&arrays.problem()?);
-    Ok((
-        sparse(py, &qp.p),
-        vector(py, qp.q.iter().copied()),
-        sparse(py, &qp.a),
-        vector(py, qp.l.iter().copied()),
-        vector(py, qp.u.iter().copied()),
-    ))
-}
 
 /// One coefficient, or one for each wheel.
 #[derive(FromPyObject)]
