@@ -36,6 +36,8 @@ pub struct Carry {
     sequence: u64,
     history: VecDeque<Transition>,
     weights: Vec<f64>,
+    /// The last request whose reply does not change the weights, because they were stated after it.
+    stated: u64,
     plan: Option<Plan>,
     accepted: u64,
     u: Input,
@@ -53,6 +55,7 @@ impl Carry {
             sequence: 0,
             history: VecDeque::new(),
             weights: Vec::new(),
+            stated: 0,
             plan: None,
             accepted: 0,
             u: [0.0; 2],
@@ -76,15 +79,16 @@ impl Carry {
         &self.weights
     }
 
-    /// Lets the next request start from these weights; the service checks them.
+    /// Lets the next request start from these weights; the service checks them. Replies to earlier requests leave them as they
+    /// are.
     pub fn start_from(&mut self, weights: Vec<f64>) {
-        self.weights = weights;
+        (self.weights, self.stated) = (weights, self.sequence);
     }
 
     /// As [`start_from`](Self::start_from), for a caller that knows the surface: from now on requests carry no history,
     /// so that the service returns the weights as they are.
     pub fn hold_weights(&mut self, weights: Vec<f64>) {
-        self.weights = weights;
+        self.start_from(weights);
         self.capacity = 0;
         self.history.clear();
     }
@@ -155,14 +159,16 @@ impl Carry {
     /// Takes over what a reply brings, which must answer a request of this carry. Returns whether it was newer than the last one
     /// taken.
     ///
-    /// Weights and predictions count whatever the solver's status; a plan comes only with
+    /// Weights, unless others were stated since the request, and predictions count whatever the solver's status; a plan comes only with
     /// [`Status::Solved`], and until then the previous one stays and ages.
     pub fn accept(&mut self, reply: &Reply) -> bool {
         if reply.sequence <= self.accepted {
             return false;
         }
         self.accepted = reply.sequence;
-        self.weights.clone_from(&reply.weights);
+        if reply.sequence > self.stated {
+            self.weights.clone_from(&reply.weights);
+        }
         // The reply's rows are the request's history, newest first; transitions added since have none.
         let known = self
             .history

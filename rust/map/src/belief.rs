@@ -99,7 +99,8 @@ impl RoadBelief {
     /// [scale](egp_parameters::VehicleParameters::scale), by which all lengths are multiplied: cells, patches, the distance
     /// between changes of the surface, and that within which a vehicle cannot react.
     ///
-    /// Only beliefs of the same scale exchange tiles and files.
+    /// The scale is rounded to a multiple of 0.0005, with which the longest cells are whole millimetres. Only beliefs of the
+    /// same rounded scale exchange tiles and files.
     ///
     /// # Errors
     /// [`BeliefError`] unless the scale is 0.01 to 1 and the road is at most 1000 km times the scale long.
@@ -107,6 +108,7 @@ impl RoadBelief {
         check("scale", scale, "0.01 to 1", |v| {
             (SMALLEST..=1.0).contains(&v)
         })?;
+        let scale = (scale * CELL * 1e3).round() / (CELL * 1e3);
         // The length is that of all cells, and may be rounded up.
         let (length, most) = (self.length(), scale * LONGEST * (1.0 + 1e-9));
         check("length", length, "at most 1e6 m times the scale", |v| {
@@ -171,11 +173,8 @@ impl RoadBelief {
             (1.0..=WINDOW).contains(&v)
         })?;
         if window != self.window {
-            if let Some(reported) = &mut self.reported {
-                reported.end_windows(self.window);
-            }
-            self.window = window;
             self.leave();
+            self.window = window;
         }
         Ok(())
     }
@@ -260,6 +259,9 @@ impl RoadBelief {
     pub fn leave(&mut self) {
         self.recent = None;
         self.track.clear();
+        if let Some(reported) = &mut self.reported {
+            reported.end_windows(self.window);
+        }
     }
 
     /// The stretch from `from` to `to`, counted without a jump at the end of a lap. `None` if the vehicle drove backwards, was

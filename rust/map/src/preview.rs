@@ -12,8 +12,8 @@ impl RoadBelief {
     /// In contrast to [`Self::ahead`], patches are not considered.
     ///
     /// # Errors
-    /// [`BeliefError`] unless the places are arc lengths that do not decrease and cover at most 10 km, and `out` has the
-    /// right number of rows.
+    /// [`BeliefError`] unless the places are arc lengths that do not decrease, `out` has the right number of rows, and the road
+    /// from the oldest place of the window to the last of the places is at most 10 km long.
     pub fn preview(&mut self, places: &[f64], out: &mut [[f64; 2]]) -> Result<(), BeliefError> {
         let [start, .., end] = *places else {
             let count = places.len() as f64;
@@ -33,7 +33,10 @@ impl RoadBelief {
             })?;
         }
         let oldest = self.near(self.track.front().copied().unwrap_or(start), start);
-        stretch("the stretch of places", end - oldest.min(start))?;
+        stretch(
+            "the road from the oldest place of the window to the last of places",
+            end - oldest.min(start),
+        )?;
         let first = self.index(oldest.min(start));
         let masses = self.masses(first, self.index(end), REACH, 0.0);
         let moments: Vec<[f64; 2]> = (masses.iter())

@@ -53,7 +53,7 @@ impl Reported {
         }
     }
 
-    /// Adds the windows, of this length, to the odds from before, because later ones have another length.
+    /// Adds the windows, of this length, to the odds from before, because later ones do not overlap with them.
     pub fn end_windows(&mut self, window: usize) {
         let sum: f64 = self.windows.drain(..).sum();
         self.past = (self.past + sum / window as f64).clamp(-MOST_LOG_ODDS, MOST_LOG_ODDS);

@@ -8,7 +8,7 @@ mod settings;
 mod waiting;
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
-use std::mem::take;
+use std::mem::{replace, take};
 use std::time::Duration;
 
 use egp_map::{RoadBelief, Tile};
@@ -191,7 +191,7 @@ impl FleetExchange {
             Ok(tiles) => {
                 (open.exists, open.decided) = (true, true);
                 if let Some((answer, last)) = tiles {
-                    self.report(now, answer, last, belief);
+                    self.report(now, id, answer, last, belief);
                 }
             }
             Err(error) => self.notice(FleetNotice::UnreadableAnswer(error)),
@@ -324,7 +324,14 @@ impl FleetExchange {
     }
 
     /// Hands an answer to the belief, and asks on up to the tile `last`. Tiles beyond the end of the road are left out.
-    fn report(&mut self, now: Time, answer: RoadTiles, last: u32, belief: &mut RoadBelief) {
+    fn report(
+        &mut self,
+        now: Time,
+        id: QueryId,
+        answer: RoadTiles,
+        last: u32,
+        belief: &mut RoadBelief,
+    ) {
         let end = answer.tiles.last().map(|tile| tile.index);
         for found in answer.tiles {
             if let Ok(tile) = Tile::from_bytes(&found.rows)
@@ -333,7 +340,10 @@ impl FleetExchange {
                 self.reports.replace(found.index, tile, found.origins, now);
             }
         }
-        if let Some(end) = end.filter(|end| answer.more && *end < last) {
+        if let Some(end) = end.filter(|end| answer.more && *end < last)
+            && let Some(open) = self.open.get_mut(&id)
+            && !replace(&mut open.asked_on, true)
+        {
             self.ask(end + 1, last, self.settings.timeout);
         }
     }
@@ -341,15 +351,7 @@ impl FleetExchange {
     fn query(&mut self, subject: Subject, key: String, payload: Option<Vec<u8>>, listen: Duration) {
         let id = QueryId(self.next_id);
         self.next_id += 1;
-        let (exists, decided) = (false, false);
-        self.open.insert(
-            id,
-            Open {
-                subject,
-                exists,
-                decided,
-            },
-        );
+        self.open.insert(id, Open::new(subject));
         self.actions.push_back(FleetAction::Ask(MapQuery {
             id,
             key,

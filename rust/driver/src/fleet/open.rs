@@ -10,6 +10,19 @@ pub(super) struct Open {
     pub(super) exists: bool,
     /// Whether it had a reply, or an error at which another attempt would not succeed.
     pub(super) decided: bool,
+    /// Whether the tiles behind those of its answer were asked for. An answer may come twice.
+    pub(super) asked_on: bool,
+}
+
+impl Open {
+    pub(super) fn new(subject: Subject) -> Self {
+        Self {
+            subject,
+            exists: false,
+            decided: false,
+            asked_on: false,
+        }
+    }
 }
 
 #[derive(Clone, Copy, Debug)]

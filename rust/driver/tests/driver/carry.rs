@@ -155,6 +155,14 @@ fn weights_are_given_until_a_reply_brings_others() {
     assert_eq!(first.weights, [1.0, 0.0]);
     carry.accept(&answer(&first, Status::Solved, 0.0));
     assert_eq!(carry.weights(), [0.5, 0.5]);
+    // A reply that comes late, after others were stated, brings none.
+    let second = period(&mut carry, 10.0, 0.0);
+    carry.start_from(vec![0.25, 0.75]);
+    assert!(carry.accept(&answer(&second, Status::Solved, 0.0)));
+    let third = period(&mut carry, 10.0, 0.0);
+    assert_eq!(third.weights, [0.25, 0.75]);
+    carry.accept(&answer(&third, Status::Solved, 0.0));
+    assert_eq!(carry.weights(), [0.5, 0.5]);
     carry.hold_weights(vec![0.0, 1.0]);
     for _ in 0..2 {
         let held = period(&mut carry, 10.0, 0.0);

@@ -42,6 +42,26 @@ fn only_the_tiles_that_changed_are_asked_for() {
 }
 
 #[test]
+fn an_answer_that_comes_twice_asks_on_once() {
+    let mut car = Car::new(5);
+    car.exchange.fetch(car.now);
+    let mut asked = Vec::new();
+    let mut queries = car.queries();
+    while let Some(query) = queries.pop() {
+        let last = asked.len();
+        asked.push(query.key.clone());
+        let page = answer(&[last], last < 4);
+        for _ in 0..2 {
+            (car.exchange).replied(car.now, query.id, &page, &mut car.belief);
+        }
+        car.ended(&query);
+        queries.extend(car.queries());
+    }
+    let tiles = [0, 1, 2, 3, 4].map(|first| format!("egp/v1/map/depot/car-7/ring/tiles/{first}"));
+    assert_eq!(asked, tiles);
+}
+
+#[test]
 fn after_lost_publications_all_tiles_are_asked_for() {
     let mut car = Car::new(4);
     car.exchange.changed(&encode_tiles_changed(vec![2]));

@@ -269,6 +269,24 @@ fn windows_of_an_earlier_length_count_by_it() {
 }
 
 #[test]
+fn windows_before_the_vehicle_was_moved_are_not_forgotten() {
+    let mut belief = belief();
+    belief.report(0, &found(1.1)).unwrap();
+    drive(&mut belief, 0.0, 3.0, 0.3);
+    let contradicted = belief.trust().unwrap();
+    assert!(contradicted < 0.02, "{contradicted}");
+    belief.leave();
+    let none = Some([0.0; FRICTION_HYPOTHESES]);
+    for period in 0..60 {
+        belief
+            .update(30.0 + 0.2 * f64::from(period), none.as_ref())
+            .unwrap();
+        let trust = belief.trust().unwrap();
+        assert!(trust < 0.03, "{period}: {trust}");
+    }
+}
+
+#[test]
 fn tiles_read_back_and_other_bytes_are_errors() {
     let tile = found(0.7);
     assert_eq!(Tile::from_bytes(tile.bytes()).unwrap(), tile);

@@ -70,6 +70,20 @@ fn a_scale_that_is_none_is_an_error() {
 }
 
 #[test]
+fn scales_whose_cells_have_as_many_millimetres_have_the_same_cells() {
+    let road = |scale: f64| {
+        RoadBelief::new(100.0, false)
+            .unwrap()
+            .with_scale(scale)
+            .unwrap()
+    };
+    let cells = |scale: f64| (road(scale).scale(), road(scale).to_bytes().unwrap());
+    assert_eq!(cells(0.1), cells(0.1002));
+    assert_ne!(cells(0.1), cells(0.1004));
+    assert_eq!(road(0.1004).scale(), 0.1005);
+}
+
+#[test]
 fn a_road_has_at_most_as_many_cells_as_one_of_1000_km_at_full_size() {
     let longest = |length: f64| RoadBelief::new(length, false).unwrap().with_scale(0.01);
     let told = longest(11e3).unwrap_err().to_string();

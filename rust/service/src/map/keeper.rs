@@ -58,7 +58,7 @@ impl<Q: Query> Keeper<Q> {
     /// roads that could not be written.
     pub(crate) fn run(mut self) -> usize {
         self.count();
-        let wait = self.publish.min(self.save);
+        let wait = self.publish.min(self.save).min(EXPIRE);
         let [mut published, mut saved, mut expired] = [self.started; 3];
         loop {
             match self.intake.waiting.next(wait) {
