@@ -44,12 +44,14 @@ pub(crate) fn parametrise(points: &[[f64; 2]], closed: bool) -> Result<ArcLength
         let knots: Vec<f64> = (0..=count).map(|i| i as f64 * step).collect();
         let sampled = chords.sample(&knots[..count + usize::from(!closed)]);
         let pieces = interpolate(&knots, &sampled, closed);
-        let error = (pieces.iter())
-            .flat_map(|piece| [0.0, 0.25, 0.5, 0.75, 1.0].map(|at| piece.jet(at * step).speed()))
-            .map(|speed| (speed - 1.0).abs())
-            // At a cusp that is a sample, the samples and so the spline are no numbers.
-            .map(|error| if error.is_nan() { f64::INFINITY } else { error })
-            .fold(0.0, f64::max);
+        let (sharpest, error) = pieces
+            .iter()
+            .map(|piece| piece_error(piece, step))
+            .enumerate()
+            .fold(
+                (0, 0.0),
+                |most, found| if found.1 > most.1 { found } else { most },
+            );
         if error <= TOLERANCE {
             let mut stations = chords.stations;
             stations.truncate(points.len());
@@ -64,12 +66,30 @@ pub(crate) fn parametrise(points: &[[f64; 2]], closed: bool) -> Result<ArcLength
             if length > longest {
                 return Err(PathError::TooLong { length, longest });
             }
+            let at = sharpest as f64 * step;
+            let point = chords.stations[..points.len()]
+                .partition_point(|s| *s <= at)
+                .saturating_sub(1);
+            let [x, y] = points[point];
             return Err(PathError::TooSharp {
+                point,
+                x,
+                y,
                 error,
                 pieces: count,
             });
         }
         count *= 2;
+    }
+}
+
+/// Largest deviation of `|p'(s)|` from 1 on a piece. At a cusp that is a sample, the samples and so the spline are no numbers.
+fn piece_error(piece: &Piece, step: f64) -> f64 {
+    let errors = [0.0, 0.25, 0.5, 0.75, 1.0].map(|at| (piece.jet(at * step).speed() - 1.0).abs());
+    if errors.iter().any(|error| error.is_nan()) {
+        f64::INFINITY
+    } else {
+        errors.into_iter().fold(0.0, f64::max)
     }
 }
 

@@ -30,10 +30,16 @@ pub enum PathError {
     TooClose,
     /// The curve turns too sharply for an arc-length parametrisation within tolerance.
     #[error(
-        "the path turns too sharply between its points (|p'(s)| deviates from 1 by {error:.1e} with \
-         {pieces} spline pieces); add points or smooth them"
+        "the path turns too sharply between its points, most sharply near point {point} at ({x:.6}, {y:.6}) (|p'(s)| deviates \
+         from 1 by {error:.1e} with {pieces} spline pieces); add points or smooth them"
     )]
     TooSharp {
+        /// Index of the point before the sharpest turn.
+        point: usize,
+        /// The x coordinate of this point, m.
+        x: f64,
+        /// The y coordinate of this point, m.
+        y: f64,
         /// Largest deviation of `|p'(s)|` from 1.
         error: f64,
         /// Largest number of spline pieces tried.

@@ -26,8 +26,8 @@ impl PathParts {
     /// Errors unless a path can be made of the numbers.
     pub(crate) fn check(&self) -> Result<(), PathError> {
         let count = self.pieces.len();
-        check("step", self.step, "1e-4 to 1 m", |step| {
-            (1e-4..=1.0).contains(&step)
+        check("step", self.step, "1e-4 to 1e4 m", |step| {
+            (1e-4..=1e4).contains(&step)
         })?;
         check(
             "the number of pieces",

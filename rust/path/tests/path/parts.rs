@@ -35,6 +35,15 @@ fn a_path_made_of_the_parts_of_another_one_has_the_same_bits() {
 }
 
 #[test]
+fn a_path_with_long_pieces_has_the_same_bits_too() {
+    let points: Vec<[f64; 2]> = (0..2001).map(|i| [100.0 * f64::from(i), 0.0]).collect();
+    let path = Path::from_points(&points, false, None).unwrap();
+    assert!(path.parts().step > 1.0);
+    let again = Path::from_parts(path.parts()).unwrap();
+    assert_eq!(again.parts(), path.parts());
+}
+
+#[test]
 fn parts_of_which_no_path_consists_are_an_error() {
     let parts = RoundedRectangle::default().path().unwrap().parts();
     let error = |change: fn(&mut PathParts)| {
