@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from plant_log import COLUMNS, options, plant_log
+from plant_log import COLUMNS, MASS, options, plant_log
+from surfaces import provenance
 from typer.testing import CliRunner
 
 from egp_service import EgpError, VehicleParameters
 from egp_service.cli import app
 from egp_service.control.toml_text import dumps
 from egp_service.data import motion_limits, plausibility
+from egp_service.data.alignment import consecutive
+from egp_service.data.log_import import import_log
+from egp_service.training.train import check_magnitudes
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -56,6 +61,25 @@ def test_single_outliers_of_the_steering_angle_are_none() -> None:
     log["delta"][::50] += 0.2
     with pytest.raises(EgpError, match=r"changes faster than 6 rad/s in 3\.9% of the rows"):
         check(log)
+
+
+def test_transitions_to_and_from_single_outliers_are_left_out(tmp_path: Path) -> None:
+    log = plant_log()
+    found = []
+    for outliers in ([], [300, 900, 901]):
+        log["delta"][outliers] += 0.2
+        options(tmp_path / "log.csv", log)
+        found.append(import_log(tmp_path / "log.csv", COLUMNS, provenance(dt=0.02), mass=MASS))
+    clean, data = found
+    assert len(clean) - len(data) == 2 + 2  # from 900 to 901 the angle does not jump
+    assert data.gaps == pytest.approx([0.04, 0.02, 0.02])
+    assert len(consecutive(data)) == len(consecutive(clean)) + 3
+    car = VehicleParameters.commonroad(1)
+    check_magnitudes(data, car)
+    wrong = replace(data, z=data.z + np.array([0, 0, 0, 0, 0, 13.0]))
+    with pytest.raises(EgpError, match=r"delta_dot is 1.* more than 6: remove such rows"):
+        check_magnitudes(wrong, car)
+    check_magnitudes(wrong, None)  # it may be that of a small vehicle
 
 
 def test_small_vehicles_turn_and_steer_faster(tmp_path: Path) -> None:

@@ -117,6 +117,7 @@ def import_log(
     or `bank` of the road (`quantities.TILT`), the changes are those without gravity's part, which
     follows from the means of these angles over the period. Trajectories are 10 s long, and gaps in
     time or stamps that are late break them: the steps of a trajectory are not consecutive there.
+    Single outliers of the steering angle are gaps, too.
     Steering angles are divided by `steering_ratio`, that of the steering wheel's angle to the road
     wheels'. A known `wheelbase` in m sharpens the checks of steering and speed.
 
@@ -156,12 +157,16 @@ def import_log(
             a_x = a_x + front_share * log["v_x"] * log["omega"] * np.tan(log["delta"])
         log["F_x"] = mass * a_x
         provenance = dataclasses.replace(provenance, force_from_a_x=True)
-    return _transitions(log, columns, provenance)
+    return _transitions(log, columns, provenance, plausibility.largest("delta_dot", wheelbase))
 
 
 def _transitions(
-    log: Mapping[str, NDArray[np.float64]], columns: Mapping[str, Column], provenance: Provenance
+    log: Mapping[str, NDArray[np.float64]],
+    columns: Mapping[str, Column],
+    provenance: Provenance,
+    fastest: float,
 ) -> Dataset:
+    """Make the transitions of a log, without those that steer faster than `fastest` rad/s."""
     pieces, every, gaps = _pieces(log["time"], provenance.dt)
     block_periods = round(_TRAJECTORY_SECONDS / provenance.dt)
     z, y, trajectory, step, tilt = [], [], [], [], []
@@ -178,12 +183,15 @@ def _transitions(
         delta_dot = np.diff(log["delta"][ends]) / provenance.dt
         if "delta_dot" in log:
             _check_rate(delta_dot, log["delta_dot"][ends[:-1]], columns["delta_dot"])
-        z.append(np.column_stack([state[:-1], force, delta_dot]))
-        tilt.append(np.column_stack(angles))
-        y.append(np.diff(state[:, :NY], axis=0))
+        possible = np.abs(delta_dot) <= fastest
+        wrong = np.diff(np.flatnonzero(np.diff(~possible, prepend=False, append=False)))[::2]
+        gaps += tuple((wrong * provenance.dt).tolist())
+        z.append(np.column_stack([state[:-1], force, delta_dot])[possible])
+        tilt.append(np.column_stack(angles)[possible])
+        y.append(np.diff(state[:, :NY], axis=0)[possible])
         periods = (log["time"][first] - log["time"][0]) / provenance.dt + np.arange(len(force))
-        trajectory.append((periods // block_periods).astype(np.uint32))
-        step.append(np.arange(used, used + len(force), dtype=np.uint32))
+        trajectory.append((periods // block_periods).astype(np.uint32)[possible])
+        step.append(np.arange(used, used + len(force), dtype=np.uint32)[possible])
         used += len(force) + 1  # a number is left out where the log is broken
     numbers, steps = np.concatenate(trajectory), np.concatenate(step)
     _, start, own = np.unique(numbers, return_index=True, return_inverse=True)

@@ -100,7 +100,7 @@ def evaluate_logs(
         raise EgpError("two logs have the same surface: import each with its own --surface")
     check_one_car([log.provenance for log in logs], "comparison")
     for log in logs:
-        check_data(log)
+        check_data(log, vehicle)
     logs = [log.of_vehicle(vehicle) for log in logs]
     split = [hold_out(log) for log in logs]
     with one_thread(settings.max_points):

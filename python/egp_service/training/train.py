@@ -21,7 +21,7 @@ from egp_service._core import EgpError
 from egp_service.data.alignment import align
 from egp_service.data.dataset import Dataset, check_one_car, merge
 from egp_service.data.experiment import check_seed
-from egp_service.data.plausibility import HEAVIEST, LARGEST
+from egp_service.data.plausibility import HEAVIEST, LARGEST, largest
 from egp_service.quantities import GP_INPUT, GP_OUTPUT, NZ
 from egp_service.training.average_member import MOST_POINTS
 from egp_service.training.choice import BUDGET, best_member, blocks_to_compare
@@ -43,6 +43,7 @@ if TYPE_CHECKING:
 
 # A library file has at most as many training points of a member (docs/library.md).
 _MOST_POINTS: Final = 5000
+_SHORTEST_WHEELBASE: Final = 0.02  # m, of the ranges of a vehicle's file
 
 
 @dataclasses.dataclass(frozen=True)
@@ -187,7 +188,7 @@ def _train(
     delays = None
     if simulated_vehicle(logs[0].provenance.vehicle) is None:
         for log in logs:
-            check_data(log)  # errors of the fits that find the delays name no column
+            check_data(log, vehicle)  # errors of the fits that find the delays name no column
         with one_thread(settings.max_points):
             delays = find_delays(logs, vehicle, may_fit=settings.mean != "constant")
         logs = [align(log, delays) for log in logs]
@@ -217,14 +218,14 @@ def train_parts(
     exact = (settings.restarts + 2) * settings.max_iterations
     budget = len(parts) * (BUDGET if settings.mean == "best" else exact)
     members: list[TrainedMember] = []
+    known = vehicle or simulated_vehicle(parts[0][0].provenance.vehicle)
     with one_thread(settings.max_points):
         for data, _ in parts:
-            check_data(data)
+            check_data(data, known)
             if settings.mean == "best":
                 blocks_to_compare(data)  # an error here comes before the minutes of training
         vehicles: list[FittedVehicle | None] = [None for _ in parts]
         if settings.mean != "constant":
-            known = vehicle or simulated_vehicle(parts[0][0].provenance.vehicle)
             vehicles = [*fit_vehicle([data for data, _ in parts], known, rngs)]
         for number, (part, fitted, rng) in enumerate(zip(parts, vehicles, rngs, strict=True)):
 
@@ -255,22 +256,29 @@ def check_one_library(origins: Sequence[Provenance]) -> None:
     check_one_car(origins, "library")
 
 
-def check_data(data: Dataset) -> None:
+def check_data(data: Dataset, vehicle: VehicleParameters | None) -> None:
     """Errors as `check_magnitudes`, or if an input or output of the data is constant."""
-    check_magnitudes(data)
+    check_magnitudes(data, vehicle)
     spread(data.z, GP_INPUT, data.provenance.surface)
     spread(data.y, GP_OUTPUT, data.provenance.surface)
 
 
-def check_magnitudes(data: Dataset) -> None:
-    """Errors if a number is larger than that of any vehicle; one such row would spoil the fit."""
-    # The force of a log may be its acceleration times the mass.
-    limits = LARGEST | {"F_x": HEAVIEST * LARGEST["a_x"]}
+def check_magnitudes(data: Dataset, vehicle: VehicleParameters | None) -> None:
+    """Errors if a number is larger than that of any vehicle; one such row would spoil the fit.
+
+    Small vehicles turn and steer faster, and an unknown one may be small.
+    """
+    wheelbase = _SHORTEST_WHEELBASE if vehicle is None else vehicle.l_f + vehicle.l_r
     for names, values in ((GP_INPUT, data.z), (GP_OUTPUT, data.y)):
         for name, column in zip(names, values.T, strict=True):
-            value, limit = column[np.argmax(np.abs(column))], limits[name.removeprefix("d_")]
+            # The force of a log may be its acceleration times the mass.
+            limit = HEAVIEST * LARGEST["a_x"]
+            if name != "F_x":
+                limit = largest(name.removeprefix("d_"), wheelbase)
+            value = column[np.argmax(np.abs(column))]
             if abs(value) > limit:
                 raise EgpError(
                     f"surface {data.provenance.surface}: {name} is {value:.4g} in a row of the "
-                    f"training data, more than {limit:g}: correct or remove such rows"
+                    f"training data, more than {limit:.3g}: remove such rows from the log and "
+                    "collect it again"
                 )

@@ -107,7 +107,7 @@ def vehicle_lines(
     check_seed(seed)
     for data in surfaces:
         _check_length(data)
-        check_magnitudes(data)
+        check_magnitudes(data, known)
         spread(data.y, GP_OUTPUT, data.provenance.surface)
     surfaces = [data.of_vehicle(known) for data in surfaces]
     rngs = [np.random.default_rng([seed, number]) for number in range(len(surfaces))]
