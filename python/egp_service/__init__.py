@@ -39,6 +39,9 @@ if TYPE_CHECKING:
     from egp_service.control.status import StatusPublisher
     from egp_service.control.step import Step
 
+    __version__: str
+    """The version of the package."""
+
     # Not an import: below, modules of lower layers import this package.
     def read_vehicle(path: str | os.PathLike[str]) -> VehicleParameters:
         """Read a vehicle's parameters from a TOML file; see `egp_service.vehicle`."""
@@ -58,12 +61,14 @@ else:
         """Import a public name from its module when it is first used (PEP 562)."""
         if name == "shipped":
             return import_module("egp_service.shipped")
+        if name == "__version__":
+            return import_module("importlib.metadata").version("egp-service")
         if name not in _MODULES:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
         return getattr(import_module(_MODULES[name]), name)
 
     def __dir__() -> list[str]:
-        return sorted({*globals(), *_MODULES, "shipped"})
+        return sorted({*globals(), *_MODULES, "__version__", "shipped"})
 
 
 __all__ = [

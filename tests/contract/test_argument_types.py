@@ -112,6 +112,8 @@ def test_what_describes_a_control_step_cannot_be_changed(controller: Controller)
     described: Any = controller
     with pytest.raises(TypeError, match="does not support item assignment"):
         described.settings["cost"]["lateral"] = 1.0
+    with pytest.raises(TypeError, match="does not support item assignment"):
+        described.settings["cost"]["rate"][1] = 1.0
     with pytest.raises(AttributeError, match="dt of a controller cannot be changed"):
         described.dt = 3.0
     assert controller.dt == 0.02

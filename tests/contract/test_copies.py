@@ -28,7 +28,7 @@ from egp_service import (
 )
 from egp_service._core import Engine, Friction
 from egp_service.control.recorded import RecordedStep
-from egp_service.optimal_control import OcpBounds, OcpWeights
+from egp_service.optimal_control import OcpBounds, OcpWeights, solve_ocp
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -227,6 +227,19 @@ def test_each_object_is_printed_in_a_line() -> None:
         (
             OcpBounds(u_min=bound, u_max=bound, du_min=bound, du_max=np.zeros((5, 2))),
             "OcpBounds(u_min of shape (2,), u_max (2,), du_min (2,), du_max (5, 2), soft rows: 0)",
+        ),
+        (
+            solve_ocp(
+                np.eye(7)[None],
+                np.zeros((7, 2)),
+                np.zeros(7),
+                np.zeros(7),
+                bound,
+                np.eye(7)[0],
+                OcpWeights(q=np.eye(7), r=[1.0, 1.0], r_d=bound),
+                OcpBounds(u_min=bound, u_max=bound, du_min=bound, du_max=bound),
+            ).multipliers,
+            "OcpMultipliers(stages=1)",
         ),
         (
             Engine(shipped.DEMO_LIBRARY),

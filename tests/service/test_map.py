@@ -237,7 +237,7 @@ def test_publications_that_no_period_uses_are_not_kept_without_limit() -> None:
                 kept, _ = tracemalloc.get_traced_memory()
             finally:
                 tracemalloc.stop()
-                subscriber.undeclare()
+                del subscriber
     assert kept < 2e6
 
 

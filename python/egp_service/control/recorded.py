@@ -54,7 +54,7 @@ class Damage:
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
 class RecordedStep(EqualByValue):
     """A request that was sent, with the reply that it got."""
 
@@ -66,8 +66,13 @@ class RecordedStep(EqualByValue):
     reply: bytes | None
     """`None` if no reply came."""
 
+    def __repr__(self) -> str:
+        """Return time and sizes in one line."""
+        reply = "no reply" if self.reply is None else f"reply of {len(self.reply)} bytes"
+        return f"<RecordedStep at {self.time:g} s: request of {len(self.request)} bytes, {reply}>"
 
-@dataclass(frozen=True, eq=False)
+
+@dataclass(frozen=True, repr=False, eq=False)
 class Recorded(EqualByValue):
     """The control steps of a recording and what computed them."""
 
@@ -84,6 +89,13 @@ class Recorded(EqualByValue):
     """Whether the recording was read to its end."""
     missing: str = ""
     """Sentence about what is missing because of an interruption or a damage; empty if complete."""
+
+    def __repr__(self) -> str:
+        """Return members, period and the number of steps in one line."""
+        return (
+            f"<Recorded of {', '.join(self.members)}: dt {self.dt:g} s, horizon {self.horizon}, "
+            f"{len(self.steps)} steps{'' if self.complete else ', incomplete'}>"
+        )
 
     @property
     def members(self) -> list[str]:

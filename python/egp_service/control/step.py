@@ -52,8 +52,8 @@ _LONGEST: Final = 10.0
 class EqualByValue:
     """A base of dataclasses with `eq=False`: two are equal if the values of all fields are.
 
-    Arrays are equal if their shapes and all elements are, and NaN equals NaN. As arrays have no
-    hash, such objects have none either.
+    Arrays are equal if their shapes and all elements are, and NaN equals NaN. Fields with
+    `compare=False` do not count. As arrays have no hash, such objects have none either.
     """
 
     __slots__ = ()
@@ -64,13 +64,15 @@ class EqualByValue:
         if type(other) is not type(self):
             return NotImplemented
         return all(
-            _equal(getattr(self, field.name), getattr(other, field.name)) for field in fields(self)
+            _equal(getattr(self, field.name), getattr(other, field.name))
+            for field in fields(self)
+            if field.compare
         )
 
 
 def _equal(one: object, other: object) -> bool:
     if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
-        return np.array_equal(one, other, equal_nan=True)
+        return np.array_equal(one, other, equal_nan=one.dtype.kind in "fc")
     if isinstance(one, Friction) and isinstance(other, Friction):
         return _equal(one.__getnewargs__(), other.__getnewargs__())
     if isinstance(one, tuple | list) and isinstance(other, tuple | list):

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from egp_service._core import VehicleLostError, horizon_reference
+from egp_service.control.step import EqualByValue
 from egp_service.quantities import NU, NX, POSITION, PSI, V_X
 from egp_service.simulation.course import build_path, build_profile, start_state
 from egp_service.simulation.plant import make_plant, measurement_noise
@@ -42,9 +43,9 @@ TOO_LONG = "took too long"
 STOPPED = "stopped by the gate"
 
 
-@dataclass(frozen=True, slots=True)
-class Run:
-    """A finished run."""
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class Run(EqualByValue):
+    """A finished run. Two are equal if they agree in all but the times that steps took."""
 
     scenario: Scenario
     members: Sequence[str]
@@ -57,6 +58,14 @@ class Run:
     """Time that each step but the first had, s; see `StepController.deadline`."""
     trace: Trace
     summary: Summary
+
+    def __repr__(self) -> str:
+        """Return scenario, ending and the number of periods in one line."""
+        ending = self.summary.ending
+        return (
+            f"<Run of {self.scenario.name}: {ending.reason} after {ending.time:g} s, "
+            f"{len(self.trace)} periods of {self.dt:g} s>"
+        )
 
     @property
     def path(self) -> Path:

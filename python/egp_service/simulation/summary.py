@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -88,7 +88,7 @@ class FrictionFound:
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """Results of a run that are compared between runs."""
+    """Results of a run that are compared between runs; two are equal if all but their times are."""
 
     scenario: str
     library: str
@@ -101,7 +101,7 @@ class Summary:
     speed_error: Error
     """Difference from the reference speed, m/s."""
     mean_speed: float
-    step_time_ms: dict[str, float]
+    step_time_ms: dict[str, float] = field(compare=False)
     """Percentiles of the time from request to command: p50, p90, p99, max."""
     deadline_misses: int
     """Number of periods in which no answer came before the deadline, which is 0.8 `dt` by default;

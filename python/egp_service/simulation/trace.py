@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from egp_service.control.step import EqualByValue
 from egp_service.quantities import V_X
 
 if TYPE_CHECKING:
@@ -17,8 +18,8 @@ if TYPE_CHECKING:
     from egp_service.control.step import Step
 
 
-@dataclass(frozen=True, slots=True)
-class Truth:
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth(EqualByValue):
     """The simulated truth at the start of a control period."""
 
     time: float
@@ -41,8 +42,8 @@ class Truth:
     """Friction coefficient for which the reference speed is planned here; NaN if for none."""
 
 
-@dataclass(frozen=True, slots=True)
-class Period:
+@dataclass(frozen=True, slots=True, eq=False)
+class Period(EqualByValue):
     """One control period: the truth at its start and the step taken."""
 
     truth: Truth
@@ -51,9 +52,9 @@ class Period:
     step: Step
 
 
-@dataclass(frozen=True)
-class Trace:
-    """A run of n periods as columns."""
+@dataclass(frozen=True, repr=False, eq=False)
+class Trace(EqualByValue):
+    """A run of n periods as columns. Two are equal if all columns but `step_time` are."""
 
     time: NDArray[np.float64]
     x: NDArray[np.float64]
@@ -72,7 +73,7 @@ class Trace:
     elsewhere."""
     weights: NDArray[np.float64]
     """(n, N); NaN before the first reply."""
-    step_time: NDArray[np.float64]
+    step_time: NDArray[np.float64] = field(compare=False)
     """Time from the request of a step to its command, s."""
     mode: NDArray[np.str_]
     status: NDArray[np.str_]
@@ -89,6 +90,10 @@ class Trace:
         columns = {item.name: [row[item.name] for row in rows] for item in fields(cls)}
         columns["weights"] = [unknown if each is None else each for each in columns["weights"]]
         return cls(**{name: np.asarray(column) for name, column in columns.items()})
+
+    def __repr__(self) -> str:
+        """Return the number of periods."""
+        return f"<Trace of {len(self)} periods>"
 
     def __len__(self) -> int:
         """Count the periods."""
