@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 # Tests run on all cores side by side. Threads of BLAS and of torch in each of them would wait for
 # one another; torch and numpy read this when they are imported.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+# Eight threads of zenoh receive in the process of the tests, also if its first session uses TLS. It
+# is the default without TLS, but stated.
+os.environ.setdefault("ZENOH_RUNTIME", "(rx: (worker_threads: 8), tx: (worker_threads: 1))")
 
 # Files whose tests take longest. They come first, so that at the end all cores have work.
 SLOW = (

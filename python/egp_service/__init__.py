@@ -5,7 +5,6 @@ The public names are imported when they are first used, so that importing one su
 that only another subpackage needs.
 """
 
-import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Final
 
@@ -25,12 +24,13 @@ from egp_service._core import (
     VehicleParameters,
     horizon_reference,
 )
+from egp_service.zenoh_threads import use_default
 
-# Closing the link to a silent process blocks a receive thread of zenoh for 30 to 50 ms. zenoh has
-# two, so that answers of healthy replicas come late meanwhile. It reads this for its first session.
-os.environ.setdefault("ZENOH_RUNTIME", "(rx: (worker_threads: 8))")
+use_default()
 
 if TYPE_CHECKING:
+    import os
+
     from egp_service.control.client import VehicleClient
     from egp_service.control.controller import Controller
     from egp_service.control.fleet_map import FleetMap

@@ -55,9 +55,12 @@ def read_vehicle(path: str | PathLike[str]) -> VehicleParameters:
 
     """
     _, fields = read_toml(Path(path))
+    known = VehicleParameters.ranges()
     try:
         for name, value in fields.items():
-            if isinstance(value, bool) or not isinstance(value, int | float):
+            if name not in known:
+                fields[name] = 0.0  # the error is that the name is not known
+            elif isinstance(value, bool) or not isinstance(value, int | float):
                 raise TypeError(f"{name} is {value!r}: expected a number in SI units")  # noqa: TRY301
         return VehicleParameters(**fields)
     except (ValueError, TypeError) as error:

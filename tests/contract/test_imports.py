@@ -35,6 +35,7 @@ MAY_LOAD = {
     "egp_service.shipped": set(),
     "egp_service.vehicle": set(),
     "egp_service.workers": {"loky"},
+    "egp_service.zenoh_threads": set(),
     "egp_service.control": set(),
     "egp_service.control.client": {"zenoh"},
     "egp_service.control.fleet_map": {"zenoh"},

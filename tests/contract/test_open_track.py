@@ -113,7 +113,7 @@ def test_headings_that_are_none_are_an_error(tmp_path: FilePath) -> None:
 def test_a_file_that_is_not_closed_says_how_to_state_it(tmp_path: FilePath) -> None:
     (tmp_path / "lane.csv").write_text(table(CENTRE_LINE))
     for text in (OWN.replace("closed = false\n", ""), OWN.replace("false", "true")):
-        with pytest.raises(ScenarioError, match=r"state closed = false if this"):
+        with pytest.raises(ScenarioError, match=r"if this track is open, state closed = false"):
             own(tmp_path, text)
 
 

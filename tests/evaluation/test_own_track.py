@@ -112,7 +112,7 @@ def test_a_track_that_is_not_closed_is_driven_to_its_end(tmp_path: Path) -> None
     file = tmp_path / "lane.csv"
     s = np.arange(0.0, 60.0, 5.0)
     np.savetxt(file, np.column_stack([s, 0.0 * s, np.full((len(s), 2), 3.0)]), delimiter=",")
-    with pytest.raises(EgpError, match="closed = false if this track is open"):
+    with pytest.raises(EgpError, match="if this track is open, state closed = false, or --open"):
         on_track(UNSEEN, file, 1.0)
     own = on_track(UNSEEN, file, 1.0, closed=False)
     scenario = next(own.trials([0])).scenario

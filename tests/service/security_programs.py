@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 import time
@@ -35,8 +36,9 @@ PATIENCE = 30.0
 @contextmanager
 def program(*command: str, folder: Path) -> Iterator[None]:
     """Run a program until the end of the block."""
+    own = {name: value for name, value in os.environ.items() if name != "ZENOH_RUNTIME"}
     with (folder / "log.txt").open("a") as log:
-        process = subprocess.Popen([sys.executable, *command], stdout=log, stderr=log)
+        process = subprocess.Popen([sys.executable, *command], stdout=log, stderr=log, env=own)
     try:
         yield
     finally:

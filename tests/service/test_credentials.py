@@ -293,7 +293,7 @@ def test_a_check_warns_of_a_certificate_that_expires_soon(
     result = CliRunner().invoke(app, ["serve", "--config", str(config), "--check"])
     assert result.exit_code == 0, result.output
     # Ten whole days are left in the second in which the certificate was made.
-    warning = r"a certificate of this service expires in (9|10) days; renew it with `egp keys`"
+    warning = r"a certificate expires in (9|10) days; renew it with `egp keys`"
     assert bool(re.search(warning, result.output)) == warned
     assert "valid" in result.output
     # The file of another role is an error.

@@ -69,7 +69,7 @@ def test_a_drive_without_its_key_says_why_no_period_had_a_plan(tmp_path: Path) -
     keys.write_text(f"depot/car-1 {KEY}\n", encoding="utf-8")
     scenario = tmp_path / "short.toml"
     scenario.write_text(
-        'name = "short"\nlaps = 0.02\n[track]\nkind = "circle"\n'
+        'name = "short"\nlaps = 0.3\n[track]\nkind = "circle"\n'
         "[[zones]]\nstart = 0.0\nfriction = 1.0\n"
     )
     endpoint = free_endpoint()
@@ -94,6 +94,8 @@ def test_a_drive_without_its_key_says_why_no_period_had_a_plan(tmp_path: Path) -
                 assert reason in shown
                 ((found, count),) = summary["no_plan_reasons"].items()
                 assert (reason in found, count) == (True, periods)
+                assert reason in summary["ending"]["reason"]
+                assert summary["ending"]["time"] < 10.0
 
 
 @pytest.mark.parametrize("mode", ["forge", "replay", "swap"])

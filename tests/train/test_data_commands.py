@@ -305,6 +305,24 @@ def test_an_accelerometer_does_not_feel_what_the_front_tyres_take(tmp_path: Path
     assert corrected[1] < 0.6 * measured[1]
 
 
+def test_a_mass_that_contradicts_the_file_of_the_car_is_an_error(tmp_path: Path) -> None:
+    car, log = tmp_path / "car.toml", options(tmp_path / "log.csv", plant_log())
+    collect = ("collect", *log, "-o", str(tmp_path / "d.parquet"), "--vehicle", str(car))
+    fields = known_vehicle("commonroad-1").fields()
+    for known, ratio in ((2000.0, "0.613"), (800.0, "1.53")):  # the option states 1225.887 kg
+        car.write_text(dumps(fields | {"mass": known}), encoding="utf-8")
+        told = failure(*collect)
+        assert told.startswith(
+            f"--mass 1225.89 kg is {ratio} times the mass in {car}, {known:g} kg"
+        )
+        assert "leave out --mass" in told
+    # The file may be that of the car without its load, or with one.
+    for known in (0.67 * MASS, 1.49 * MASS):
+        car.write_text(dumps(fields | {"mass": known}), encoding="utf-8")
+        result = CliRunner().invoke(app, collect)
+        assert result.exit_code == 0, result.output
+
+
 def test_a_file_that_describes_no_car_is_not_its_name(tmp_path: Path) -> None:
     car = tmp_path / "own.parquet"
     surface().write(car)

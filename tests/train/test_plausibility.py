@@ -73,6 +73,18 @@ def test_a_stuck_sensor_is_found_by_a_column_that_says_the_same(quantity: str) -
         check(log)
 
 
+@pytest.mark.parametrize("quantity", ["v_x", "v_y", "omega", "delta", "a_x"])
+def test_a_column_that_never_changes_was_probably_not_measured(quantity: str) -> None:
+    log = plant_log()
+    log[quantity][:] = log[quantity][500]
+    message = f"'{quantity}' stays at .* from row 0 to 1499, 30 s, .* probably not measured; name"
+    with pytest.raises(EgpError, match=message):
+        check(log)
+    log[quantity][0] += 1e-3
+    with pytest.raises(EgpError, match=r"from row 1 to 1499, .* the sensor was probably stuck"):
+        check(log)
+
+
 def gentle_log() -> Log:
     """Return a log as of the AV-21: wide curves, and an acceleration that is late by 1 s."""
     t = np.arange(0.0, 120.0, 0.04)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 from typing import TYPE_CHECKING
 
+import numpy as np
 import polars as pl
 import pytest
 
@@ -49,3 +50,36 @@ def test_points_in_time_may_be_texts(tmp_path: Path) -> None:
         assert found == pytest.approx([0.0, 0.02, 1.0], abs=1e-9)
     with pytest.raises(EgpError, match="row 1 holds 'later'"):
         numbers(tmp_path, pl.Series("t", ["2", "later"]))
+
+
+def test_a_comment_above_numbers_is_the_header_if_it_names_each_column(tmp_path: Path) -> None:
+    path = tmp_path / "drive.csv"
+    rows = np.array([[0.0, 15.0], [0.02, 15.1], [0.04, 15.3]])
+    for separator in (",", ";"):
+        header = f"t{separator}speed"
+        np.savetxt(path, rows, "%.9g", separator, header=header)  # after "# "
+        assert path.read_text().startswith(f"# t{separator}speed\n0{separator}15\n")
+        found = read_table(path)
+        assert found.columns == ["t", "speed"]
+        np.testing.assert_array_equal(found.to_numpy(), rows)
+    np.savetxt(path, rows, "%.9g", ",", header="by a logger\nt,speed")
+    assert read_table(path).columns == ["t", "speed"]
+    assert len(read_table(path)) == 3
+
+
+@pytest.mark.parametrize(
+    ("text", "columns"),
+    [
+        ("# by a logger\n0,15\n0.02,15.1\n", ["0", "15"]),
+        ("# t,speed,yaw\n0,15\n0.02,15.1\n", ["0", "15"]),
+        ("# t,\n0,15\n0.02,15.1\n", ["0", "15"]),
+        ("# s,m/s\nt,speed\n0,15\n", ["t", "speed"]),
+        ("# t,speed\n# s,m/s,\ntime,v\n0,15\n", ["time", "v"]),
+    ],
+)
+def test_other_comments_stay_comments(tmp_path: Path, text: str, columns: list[str]) -> None:
+    path = tmp_path / "drive.csv"
+    path.write_text(text)
+    found = read_table(path)
+    assert found.columns == columns
+    assert len(found) == 1

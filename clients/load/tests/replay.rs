@@ -145,7 +145,7 @@ fn a_recording_is_replayed_with_the_period_of_its_library() {
     let further = concat!(env!("CARGO_TARGET_TMPDIR"), "/further.safetensors");
     std::fs::write(further, &bytes).unwrap();
     let id = Library::from_bytes(&bytes).unwrap().id();
-    let horizon = Settings::default().horizon(spec.dt, 0.5);
+    let horizon = Settings::default().horizon(&Library::from_bytes(&bytes).unwrap());
     let requests = requests_of("further.bin", id, u32::try_from(horizon).unwrap(), spec.dt);
     // The service states the period of the library that it describes, which is not that of the recording.
     let (server, endpoint) = serve_too(&[further]);

@@ -19,7 +19,7 @@
 //!
 //! [`FleetMap`] exchanges what the vehicle measured about a road's friction with the other vehicles of its fleet.
 //!
-//! A program calls [`set_receive_threads`] first, so that a replica that falls silent does not delay the answers of others, and
+//! A program calls [`set_network_threads`] first, so that a replica that falls silent does not delay the answers of others, and
 //! [`survive_file_size_limit`] if it writes traces.
 
 mod client;
@@ -37,7 +37,9 @@ pub use egp_gate::{Command, Limits as GateLimits, Mode};
 pub use egp_map::RoadBelief;
 pub use egp_parameters::VehicleParameters;
 pub use egp_session::NetworkError;
-pub use egp_wire::{print_line, print_notice, set_receive_threads, survive_file_size_limit};
+pub use egp_wire::{
+    ask_for_tls, print_line, print_notice, set_network_threads, survive_file_size_limit,
+};
 pub use fleet_map::{FleetMap, FleetMapConfig, FleetMapError};
 pub use network::{ask, open_session};
 pub use traces::{StepTraces, StepTracesError};

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 from egp_service._core import Decision, Discovery, Driver, InvalidArgumentError, decode_ready
+from egp_service.control.certificates import check_zenoh_file
 from egp_service.control.endpoints import SERVICE_PORT, endpoint_list
 from egp_service.control.network import Announcement, Network, no_link, unreachable
 from egp_service.control.session import check_process, session_config
@@ -79,7 +80,8 @@ class VehicleClient(StepController):
         """Connect to zenoh at `endpoints`, such as `tcp/127.0.0.1:7447`, and ask for the library.
 
         Without `endpoints` those of `zenoh_file` are used, a configuration of zenoh in JSON5 that
-        replaces the defaults of this client.
+        replaces the defaults of this client. From 30 days before one of its certificates expires, a
+        warning is logged.
 
         `fleet` and `vehicle` name the vehicle; no two vehicles of a fleet may have the same name.
         `gate` holds the limits of the driven vehicle in SI units and rad, as
@@ -103,7 +105,8 @@ class VehicleClient(StepController):
             TypeError: for endpoints or gate settings of another type.
             InvalidArgumentError: for names, gate settings, a timeout, a configuration, or a file of
                 keys or traces that cannot be used.
-            EgpError: in a process that was forked from one in which zenoh ran.
+            EgpError: for a certificate in `zenoh_file` that has expired, is not valid yet or is not
+                that of a vehicle, and in a process that was forked from one in which zenoh ran.
             ServiceUnreachableError: naming each replica with the reason, when no replica gives a
                 usable answer within `timeout` seconds.
 
@@ -122,6 +125,7 @@ class VehicleClient(StepController):
                 error.add_note(f"with the keys of {key_file}")
             raise
         config = session_config(names, timeout, zenoh_config or {}, zenoh_file)
+        check_zenoh_file(zenoh_file, zenoh_config or {})
         network = Network(config, names, timeout)
         try:
             fitting, ready = _first_ready(network, discovery, names, deadline)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final, Self
 import zenoh
 
 from egp_service._core import EgpError, FleetExchange, FleetNotice
+from egp_service.control.certificates import check_zenoh_file
 from egp_service.control.endpoints import MAP_PORT, endpoint_list, endpoint_names
 from egp_service.control.inbox import Inbox
 from egp_service.control.session import (
@@ -74,12 +75,13 @@ class FleetMap(Closing):
             TypeError: for endpoints or a belief of another type.
             InvalidArgumentError: for endpoints, names, a configuration or times that cannot be
                 used, and without endpoints unless there is a configuration.
-            EgpError: if zenoh opens no session, and in a process that was forked from one in which
-                zenoh ran.
+            EgpError: for certificates as `VehicleClient.connect`, if zenoh opens no session, and in
+                a process that was forked from one in which zenoh ran.
 
         """
         names = endpoint_list(endpoints, MAP_PORT, configured=bool(zenoh_file or zenoh_config))
         config = session_config(names, timeout, zenoh_config or {}, zenoh_file)
+        check_zenoh_file(zenoh_file, zenoh_config or {})
         self._exchange = FleetExchange(
             time.monotonic(),
             belief,

@@ -16,6 +16,7 @@ import zenoh
 from egp_service import callbacks
 from egp_service._core import EgpError, InvalidArgumentError, refused_setting
 from egp_service.control.endpoints import check_endpoints
+from egp_service.zenoh_threads import use_for
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -154,6 +155,8 @@ def start_session(config: zenoh.Config) -> zenoh.Session:
     """
     check_process()
     _Zenoh.runs = True
+    if config.get_json("mode") != '"router"':
+        use_for(config.get_json("listen/endpoints"), config.get_json("connect/endpoints"))
     return zenoh.open(config)
 
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Final
 import zenoh
 
 from egp_service._core import EgpError, vehicle_key, vehicle_road_key
+from egp_service.control.certificates import check_zenoh_file
 from egp_service.control.endpoints import (
     MONITOR_ENDPOINT,
     MONITOR_PORT,
@@ -87,7 +88,7 @@ class StatusPublisher(Closing):
             TypeError: for a controller or endpoints of another type.
             InvalidArgumentError: for names, endpoints or a configuration that cannot be used, and
                 without endpoints unless there is a configuration.
-            EgpError: if zenoh opens no session.
+            EgpError: for certificates as `VehicleClient.connect`, and if zenoh opens no session.
 
         """
         check_type("controller", controller, StepController)
@@ -106,6 +107,7 @@ class StatusPublisher(Closing):
         self._last: Message | None = None
         try:
             config = session_config(names, 0.0, zenoh_config or {}, zenoh_file)
+            check_zenoh_file(zenoh_file, zenoh_config or {})
             self._session = open_session(config, 0.0)
         except zenoh.ZError as error:
             raise EgpError(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from egp_service._core import STANDARD_GRAVITY, EgpError
-from egp_service.data import motion_limits, plausibility
+from egp_service.data import held_values, motion_limits, plausibility
 from egp_service.data.dataset import Dataset
 from egp_service.data.messages import check_folder, is_recording
 from egp_service.data.recording import read_recording, topics
@@ -203,6 +203,7 @@ def _transitions(
         provenance=provenance,
         gaps=gaps,
     )
+    held_values.check(found, columns)
     if not TILT.keys() & log.keys():
         return found
     found = dataclasses.replace(found, tilt=np.concatenate(tilt))

@@ -183,8 +183,12 @@ def _check_stuck(log: Log, columns: Mapping[str, Column], mass: float | None) ->
             if any(_moves(quantity, {q: c[rows] for q, c in about.items()}) for rows in pieces):
                 raise EgpError(
                     f"'{columns[quantity].name}' stays at {values[first]:.4g} (SI units) from row "
-                    f"{first} to {last - 1}, {duration:.0f} s, while the vehicle moves: the sensor "
-                    "was probably stuck; remove these rows"
+                    f"{first} to {last - 1}, {duration:.0f} s, while the vehicle moves: "
+                    + (
+                        "this column was probably not measured; name one that was"
+                        if last - first == len(values)
+                        else "the sensor was probably stuck; remove these rows"
+                    )
                 )
 
 

@@ -33,9 +33,10 @@ _PLACE: Final = " (column "
 def read_table(path: Path, separator: str = ",") -> pl.DataFrame:
     """Read a Parquet file (`.parquet`) or a CSV file, which may be compressed by gzip.
 
-    In CSV files lines that begin with `#` are comments, and a byte-order mark is left out. If the
-    header has no `separator` but semicolons or tabs, those separate. Columns of one name get their
-    places behind it.
+    In CSV files lines that begin with `#` are comments, and a byte-order mark is left out. A
+    comment is the header, as `numpy.savetxt` writes it, if numbers follow in the next line, one for
+    each of its names. If the header has no `separator` but semicolons or tabs, those separate.
+    Columns of one name get their places behind it.
 
     Raises:
         EgpError: naming the file, if there is none, if it cannot be read or is no Parquet or CSV
@@ -57,9 +58,9 @@ def read_table(path: Path, separator: str = ",") -> pl.DataFrame:
         if "\r" in text and "\n" not in text:
             raise EgpError(f"{path}: lines end with CR only: save the file with LF or CR LF")
         lines = text.splitlines()
-        header = next((line for line in lines if line and line[0] != "#"), "")
-        if separator not in header:
-            separator = next((other for other in _SEPARATORS if other in header), separator)
+        header, separator, first = _header(lines, separator)
+        if first > 0:
+            content = "\n".join([header, *lines[first:]]).encode()
         # The names as they are written; polars changes one that comes twice.
         columns = [name.strip() for name in next(csv.reader([header], delimiter=separator))]
         frame = pl.read_csv(
@@ -79,6 +80,29 @@ def read_table(path: Path, separator: str = ",") -> pl.DataFrame:
         ]
     frame.columns = [name.strip() or name for name in names]
     return frame
+
+
+def _header(lines: Sequence[str], separator: str) -> tuple[str, str, int]:
+    """Return the header and its separator; if it is a comment, also the first line below it."""
+    first = next((i for i, line in enumerate(lines) if line and line[0] != "#"), 0)
+    header = lines[first] if lines else ""
+    if separator not in header:
+        separator = next((other for other in _SEPARATORS if other in header), separator)
+    if first > 0 and _are_names(lines[first - 1], header, separator):
+        return lines[first - 1].lstrip("# "), separator, first
+    return header, separator, 0
+
+
+def _are_names(comment: str, row: str, separator: str) -> bool:
+    """Return whether a comment has a name for each cell of the row below it, all numbers."""
+    cells = row.split(separator)
+    try:
+        for cell in cells:
+            float(cell)
+    except ValueError:
+        return False
+    names = comment.removeprefix("#").split(separator)
+    return len(names) == len(cells) and all(name.strip() for name in names)
 
 
 def _check_fields(path: Path, lines: Sequence[str], expected: int, separator: str) -> None:

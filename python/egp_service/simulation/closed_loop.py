@@ -39,6 +39,8 @@ FIRST_DEADLINE = 2.0
 # all zones. A reference that does not use it is slower.
 PATIENCE = {"zones": 2.0, "here": 4.0, "weights": 4.0, "nothing": 4.0}
 STANDSTILL = 0.3
+# s, after which a vehicle that stands because no request was answered with a plan has stopped.
+REFUSED = 2.0
 TOO_LONG = "took too long"
 STOPPED = "stopped by the gate"
 
@@ -222,7 +224,9 @@ class _Loop:
         lateral = period.truth.lateral_error
         if abs(lateral) > self._leave:
             return self._ending(f"more than {self._leave:g} m beside the path: {lateral:+.2f} m")
-        if period.step.mode == "stop":
+        # A vehicle without a key is refused in each period from the first on.
+        refused = period.step.mode == "waiting" and period.step.status == "refused"
+        if period.step.mode == "stop" or (refused and self._time > REFUSED):
             self._stopped = self._stopped or period.step.detail or period.step.status
             if self._plant.state[V_X] < STANDSTILL:
                 return self._ending(f"{STOPPED}: {self._stopped}")

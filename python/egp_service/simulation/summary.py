@@ -19,7 +19,10 @@ if TYPE_CHECKING:
 
 # Reasons that name numbers differ in each period.
 _REASONS: Final = 10
-_ENOUGH: Final = 250  # periods, of which ten windows share no transition
+# Periods from which the median misfit is stated: 250, of which ten windows share no transition. A
+# larger one needs fewer, because slides of a vehicle that the members predict remain below it.
+_ENOUGH: Final = 250
+_LARGE: Final = (10, 20.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +70,7 @@ class FrictionFound:
     """Mean ratio of the friction for which the reference speed is planned; none if for none."""
     misfit: float | None
     """Median of `Friction.misfit` over the periods with information about the friction; none with
-    fewer than 250 of them."""
+    fewer than 250 of them, or with fewer than 10 if it is above 20."""
 
     @classmethod
     def of(cls, trace: Trace) -> FrictionFound:
@@ -76,13 +79,16 @@ class FrictionFound:
         lower, upper = trace.friction_found[informed].T
         holds = (lower <= trace.friction[informed]) & (trace.friction[informed] <= upper)
         planned = trace.friction_planned / trace.friction
-        misfit = trace.misfit[np.isfinite(trace.misfit)]
+        misfit = trace.misfit[informed]
+        median = float(np.median(misfit)) if informed.any() else 0.0
+        few, large = _LARGE
+        enough = few if median > large else _ENOUGH
         return cls(
             informed=int(informed.sum()),
             coverage=float(np.mean(holds)) if informed.any() else None,
             median_width=float(np.median(upper - lower)) if informed.any() else None,
             planned_over_true=float(np.nanmean(planned)) if np.isfinite(planned).any() else None,
-            misfit=float(np.median(misfit)) if len(misfit) >= _ENOUGH else None,
+            misfit=median if len(misfit) >= enough else None,
         )
 
 

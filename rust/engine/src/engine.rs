@@ -171,7 +171,7 @@ impl Engine {
             others: Vec::new(),
             dt: self.library.dt(),
             horizon: count(self.settings.horizon(&self.library)),
-            history: count(self.settings.weights.window(self.library.dt())),
+            history: count(self.settings.weights.window(&self.library)),
             members: self
                 .library
                 .members()
@@ -312,9 +312,9 @@ pub fn unknown_library(served: &[LibraryId], stated: &LibraryId) -> WireError {
 
 /// Errors if a message cannot carry so many members, inputs of a plan, or transitions.
 fn check_sizes(library: &Library, settings: &Settings) -> Result<(), EngineError> {
-    let (members, dt) = (library.members().len(), library.dt());
+    let members = library.members().len();
     let horizon = settings.horizon(library);
-    let window = settings.weights.window(dt);
+    let window = settings.weights.window(library);
     for (what, actual, limit) in [
         ("the number of members", members, limits::MEMBERS),
         ("settings.horizon", horizon, limits::HORIZON),

@@ -161,6 +161,23 @@ pub fn array<S: IntoDimension>(
     values.into_pyarray(py).reshape(shape)
 }
 
+/// A copy of an array for Python, which a caller may change.
+pub fn copied<'py>(py: Python<'py>, array: &OwnedArray) -> NewArray<'py> {
+    array.clone().into_pyarray(py)
+}
+
+/// Number of rows of a matrix that a Python object keeps.
+pub fn row_count(py: Python<'_>, matrix: &KeptMatrix) -> usize {
+    matrix.bind(py).dims()[0]
+}
+
+/// The first number that is not finite, with its indices.
+pub fn not_finite(array: ArrayView<'_>) -> Option<(Vec<usize>, f64)> {
+    let mut numbers = array.indexed_iter();
+    let (index, number) = numbers.find(|(_, number)| !number.is_finite())?;
+    Some((index.slice().to_vec(), *number))
+}
+
 /// The error about an array of the wrong shape, written as Python writes shapes.
 pub fn wrong_shape(name: &str, expected: &str, found: &[usize]) -> PyErr {
     let found = shown(found);

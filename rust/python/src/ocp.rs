@@ -7,14 +7,13 @@ use egp_core::settings::{SolverKind, SolverSettings};
 use egp_core::solver::{solve_with_fallback, solvers};
 use egp_core::{Input, NU, NX, OcpQp, OcpSolution};
 use egp_wire::status_name;
-use numpy::PyArrayMethods;
 use pyo3::prelude::*;
 use serde::Deserialize as _;
 use serde::de::IntoDeserializer as _;
 use serde::de::value::Error;
 
 use crate::array::{ArrayLike, KeptMatrix, Matrix, NewVector, Vector};
-use crate::array::{array, rows, vector, wrong_shape};
+use crate::array::{array, row_count, rows, vector, wrong_shape};
 use crate::error::{InvalidArgumentError, raise};
 use crate::problem::{OcpBounds, OcpWeights};
 use crate::problem_arguments::Arrays;
@@ -81,7 +80,7 @@ pub struct OcpMultipliers {
 #[pymethods]
 impl OcpMultipliers {
     fn __repr__(&self, py: Python<'_>) -> String {
-        let horizon = self.u_min.bind(py).dims()[0];
+        let horizon = row_count(py, &self.u_min);
         format!("OcpMultipliers(stages={horizon})")
     }
 }

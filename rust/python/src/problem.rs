@@ -4,12 +4,11 @@
 
 use egp_core::qp::MAX_SOFT;
 use egp_core::{NU, NX};
-use numpy::IntoPyArray;
 use pyo3::prelude::*;
 
 use crate::array::{
-    ArrayLike, Matrix, NewArray, NewMatrix, NewVector, OwnedArray, Vector, array, fixed, rows,
-    shown, vector, wrong_shape,
+    ArrayLike, Matrix, NewArray, NewMatrix, NewVector, OwnedArray, Vector, array, copied, fixed,
+    rows, shown, vector, wrong_shape,
 };
 use crate::error::InvalidArgumentError;
 
@@ -53,7 +52,7 @@ impl OcpWeights {
 
     #[getter]
     fn q<'py>(&self, py: Python<'py>) -> NewArray<'py> {
-        copy(py, &self.q)
+        copied(py, &self.q)
     }
 
     #[getter]
@@ -68,12 +67,12 @@ impl OcpWeights {
 
     #[getter]
     fn proximal<'py>(&self, py: Python<'py>) -> NewArray<'py> {
-        copy(py, &self.proximal)
+        copied(py, &self.proximal)
     }
 
     #[getter]
     fn planned<'py>(&self, py: Python<'py>) -> NewArray<'py> {
-        copy(py, &self.planned)
+        copied(py, &self.planned)
     }
 
     fn __repr__(&self) -> String {
@@ -141,37 +140,37 @@ impl OcpBounds {
 
     #[getter]
     fn u_min<'py>(&self, py: Python<'py>) -> NewArray<'py> {
-        copy(py, &self.u_min)
+        copied(py, &self.u_min)
     }
 
     #[getter]
     fn u_max<'py>(&self, py: Python<'py>) -> NewArray<'py> {
-        copy(py, &self.u_max)
+        copied(py, &self.u_max)
     }
 
     #[getter]
     fn du_min<'py>(&self, py: Python<'py>) -> NewArray<'py> {
-        copy(py, &self.du_min)
+        copied(py, &self.du_min)
     }
 
     #[getter]
     fn du_max<'py>(&self, py: Python<'py>) -> NewArray<'py> {
-        copy(py, &self.du_max)
+        copied(py, &self.du_max)
     }
 
     #[getter]
     fn soft_normal<'py>(&self, py: Python<'py>) -> NewArray<'py> {
-        copy(py, &self.soft_normal)
+        copied(py, &self.soft_normal)
     }
 
     #[getter]
     fn soft_lower<'py>(&self, py: Python<'py>) -> NewArray<'py> {
-        copy(py, &self.soft_lower)
+        copied(py, &self.soft_lower)
     }
 
     #[getter]
     fn soft_upper<'py>(&self, py: Python<'py>) -> NewArray<'py> {
-        copy(py, &self.soft_upper)
+        copied(py, &self.soft_upper)
     }
 
     #[getter]
@@ -200,9 +199,4 @@ fn owned(array: &ArrayLike<'_>) -> OwnedArray {
 /// The array, or zeros of this shape in its place.
 fn owned_or_zeros(array: Option<ArrayLike<'_>>, shape: &[usize]) -> OwnedArray {
     array.map_or_else(|| OwnedArray::zeros(shape), |array| owned(&array))
-}
-
-/// A copy for Python, which a caller may change.
-fn copy<'py>(py: Python<'py>, array: &OwnedArray) -> NewArray<'py> {
-    array.clone().into_pyarray(py)
 }

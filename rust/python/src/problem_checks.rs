@@ -2,20 +2,17 @@
 
 use egp_core::qp::{A_PATTERN, B_PATTERN, Q_PATTERN, SOFT_PATTERN, Stage};
 use egp_core::{NU, NX, OcpQp};
-use numpy::ndarray::Dimension;
 use pyo3::prelude::*;
 
-use crate::array::ArrayView;
+use crate::array::{ArrayView, not_finite};
 use crate::error::InvalidArgumentError;
 
 /// Errors unless all numbers of an array are finite.
 pub fn check_finite(name: &str, array: ArrayView<'_>) -> PyResult<()> {
-    let mut numbers = array.indexed_iter();
-    match numbers.find(|(_, number)| !number.is_finite()) {
+    match not_finite(array) {
         None => Ok(()),
         Some((index, number)) => Err(wrong(format!(
-            "{name}{:?}: expected a finite number, got {number}",
-            index.slice()
+            "{name}{index:?}: expected a finite number, got {number}"
         ))),
     }
 }

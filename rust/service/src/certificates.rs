@@ -157,7 +157,7 @@ pub(crate) fn show(end: i64, registry: &mut Registry) {
 pub(crate) fn warning(end: i64, now: i64) -> Option<String> {
     let days = days_left(end, now)?;
     Some(format!(
-        "a certificate of this service expires in {}; renew it with `egp keys`",
+        "a certificate expires in {}; renew it with `egp keys`",
         in_days(days)
     ))
 }

@@ -9,6 +9,7 @@ use egp_session::{NetworkError, get, set};
 use egp_wire::read_regular;
 use serde_json::Value;
 
+use crate::ServiceConfig;
 use crate::certificates::{self, SETTINGS};
 use crate::network::Config;
 use crate::zenoh_settings::{DEFAULTS, free_ports, places, same_address, unusable};
@@ -75,6 +76,14 @@ pub(crate) fn configuration(
     }
     let end = earliest_end(file, &config, role)?;
     Ok((config, end))
+}
+
+/// Whether a service listens on an endpoint of TLS or connects to one; false if zenoh does not accept its settings.
+pub fn is_encrypted(config: &ServiceConfig) -> bool {
+    let given = config.zenoh.iter();
+    let given = given.map(|(key, value)| (key.as_str(), value.as_str()));
+    egp_session::configuration(config.zenoh_file.as_deref(), &[], given)
+        .is_ok_and(|config| egp_session::is_encrypted(&config))
 }
 
 /// A path as errors show it. A key that was written in its place is not shown.

@@ -18,7 +18,8 @@ use crate::sync::{Mutex, PoisonError, RwLock};
 /// of questions from its first runs could be repeated.
 const RUNS: usize = 1 << 16;
 
-/// Least time between two warnings about one vehicle: clients that take turns do so at each request.
+/// Least time between two warnings about clients that take turns as one vehicle, and between two about requests whose sender did
+/// not prove who it is: both may come with each request.
 const WARN: Duration = Duration::from_secs(60);
 
 /// The numbers of the questions that came from a vehicle.
@@ -73,6 +74,8 @@ pub(crate) struct Guard {
     seen: Mutex<BTreeMap<(Name, Name), Seen>>,
     /// Number of requests of a known run that follow a request of another run with the same key.
     twice: Counter,
+    /// When the last warning about a request was logged whose sender did not prove who it is.
+    denied: Mutex<Option<Instant>>,
 }
 
 /// A question whose sender has the vehicle's key.
@@ -95,6 +98,7 @@ impl Guard {
             keys: RwLock::new(keys),
             seen: Mutex::new(BTreeMap::new()),
             twice: Counter::default(),
+            denied: Mutex::new(None),
         }
     }
 
@@ -142,7 +146,12 @@ impl Guard {
         fleet: &Name,
         vehicle: &Name,
     ) -> Result<Sealed, WireError> {
-        let denied = |detail: String| WireError::permanent(Code::Unauthenticated, detail);
+        let denied = |detail: String| {
+            if self.tells_denial(Instant::now()) {
+                tracing::warn!(%fleet, %vehicle, "a request is refused, of which the log tells once a minute: {detail}");
+            }
+            WireError::permanent(Code::Unauthenticated, detail)
+        };
         let key = self
             .key(fleet, vehicle)
             .map_err(|missing| denied(missing.to_string()))?;
@@ -167,13 +176,24 @@ impl Guard {
             }
         }
         if noted == Noted::Old {
+            // This is usual for a vehicle with two routers, by which its requests come twice.
             let reason = "this request, or a newer one of the same run, came before";
-            return Err(denied(reason.to_owned()));
+            return Err(WireError::permanent(Code::Unauthenticated, reason));
         }
         Ok(Sealed {
             key,
             question: seal.tag,
         })
+    }
+
+    /// Whether to log that a request was refused: at most once in [`WARN`].
+    fn tells_denial(&self, now: Instant) -> bool {
+        let mut last = self.denied.lock().unwrap_or_else(PoisonError::into_inner);
+        let due = last.is_none_or(|last| now.saturating_duration_since(last) >= WARN);
+        if due {
+            *last = Some(now);
+        }
+        due
     }
 
     /// The sender of a question that anybody may ask, if it can prove who it is.

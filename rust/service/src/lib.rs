@@ -51,7 +51,7 @@ mod zenoh_settings;
 
 pub use config::ServiceConfig;
 pub use config_error::ConfigError;
-pub use configuration::check_certificates;
+pub use configuration::{check_certificates, is_encrypted};
 pub use egp_session::NetworkError;
 pub use fetch::{Fetched, Wanted};
 pub use fetch_error::{FetchError, FetchFailure};

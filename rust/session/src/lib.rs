@@ -147,6 +147,13 @@ pub fn get(config: &Config, key: &str) -> Result<Value, NetworkError> {
     serde_json::from_str(&text).map_err(|e| NetworkError::new(doing(), &e))
 }
 
+/// Whether a session listens on an endpoint of TLS or connects to one.
+pub fn is_encrypted(config: &Config) -> bool {
+    let endpoints = ["listen/endpoints", "connect/endpoints"];
+    let mut texts = endpoints.iter().filter_map(|key| config.get_json(key).ok());
+    texts.any(|text| text.contains("\"tls/"))
+}
+
 /// Checks that a session in zenoh's mode `client` has something to connect to.
 ///
 /// # Errors

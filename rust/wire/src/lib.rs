@@ -66,7 +66,7 @@ pub use road::{
 
 pub use seal::{KeyError, KeyFileError, KeyRing, Seal, Tag, VehicleKey};
 pub use signals::{Interrupt, not_ignored, survive_file_size_limit};
-pub use threads::set_receive_threads;
+pub use threads::{ask_for_tls, set_network_threads};
 
 /// The messages as generated from `proto/egp/v1/egp.proto`, unvalidated.
 #[allow(missing_docs, clippy::pedantic)]

@@ -171,8 +171,9 @@ fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
 
 #[allow(unsafe_code)]
 fn main() -> ExitCode {
+    let encrypted = egp_vehicle::ask_for_tls(std::env::args_os());
     // SAFETY: no other thread runs yet.
-    unsafe { egp_vehicle::set_receive_threads() };
+    unsafe { egp_vehicle::set_network_threads(encrypted) };
     match run(&Arguments::parse()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {

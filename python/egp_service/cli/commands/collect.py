@@ -23,7 +23,6 @@ _RUNS = 6
 _SAMPLES = 300
 _VEHICLE = "1"  # number of CommonRoad
 _UNNAMED = "unnamed"  # vehicle of a log
-_LIGHTEST = 50.0  # kg, as --mass
 
 
 def collect(
@@ -141,6 +140,7 @@ def collect(
     """
     from egp_service._core import EgpError, surface_friction
     from egp_service.cli.progress import collecting
+    from egp_service.data import stated_mass
     from egp_service.data.collect import CollectionSettings
     from egp_service.data.collect import collect as collect_dataset
     from egp_service.data.experiment import parse_surface, tool
@@ -152,16 +152,7 @@ def collect(
     _check_name(output)
     if vehicle is None:
         vehicle = _UNNAMED if from_log else _VEHICLE
-    if mass is not None and 0.0 < mass < _LIGHTEST:
-        light = (
-            f"leave out --mass: {vehicle} states it"
-            if _is_file(vehicle)
-            else "a car that is so light needs a file, given with --vehicle"
-        )
-        raise EgpError(
-            f"--mass {mass:g} is below {_LIGHTEST:g} kg: state kg, such as {1e3 * mass:g} for "
-            f"{mass:g} t; {light}"
-        )
+    stated_mass.check_unit(mass, vehicle, is_file=_is_file(vehicle))
     check_outputs([*(from_log or []), Path(vehicle)], output, picture)
     _check_picture(picture)
     of_simulation = {
@@ -306,6 +297,7 @@ def _import(
     """Import logs of one drive or more, and join them."""
     from egp_service._core import EgpError
     from egp_service.cli.progress import counted
+    from egp_service.data import stated_mass
     from egp_service.data.dataset import merge
     from egp_service.data.log_import import import_log
     from egp_service.vehicle import read_vehicle
@@ -314,7 +306,7 @@ def _import(
     if _is_file(provenance.vehicle):
         file = Path(provenance.vehicle)
         car = read_vehicle(file)
-        mass, wheelbase = car.mass if mass is None else mass, car.l_f + car.l_r
+        mass, wheelbase = stated_mass.of_car(mass, car.mass, file), car.l_f + car.l_r
         if accelerometer:
             front_share = car.l_r / wheelbase
         provenance = dataclasses.replace(provenance, vehicle=file.stem)

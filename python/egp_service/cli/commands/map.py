@@ -63,6 +63,7 @@ def keep_map(
     from egp_service._core import check_map, serve_map
     from egp_service.cli.settings_file import naming, read_map
     from egp_service.control.toml_text import dumps
+    from egp_service.zenoh_threads import use_for_service
 
     options: dict[str, object] = {
         "folder": None if folder is None else str(folder),
@@ -82,6 +83,7 @@ def keep_map(
         if config is not None:
             given = read_map(config)
         if not check:
+            use_for_service(dumps(given), given.get("zenoh_file"))
             serve_map(dumps(given))
             return
         warning = check_map(dumps(given))

@@ -48,13 +48,21 @@ def monitor(
       egp monitor          (then open http://127.0.0.1:8642)
       egp drive --monitor tcp/127.0.0.1:7450 --vehicle car-1
     """
+    from egp_service._core import EgpError
     from egp_service.cli.signals import until_signal
+    from egp_service.control.certificates import check_zenoh_file
     from egp_service.monitor.web import bind, serve
 
     given = zenoh is not None
     connected = connect or ([] if given else [SERVICE_ENDPOINT])
     listening = listen or ([] if given else [MONITOR_ENDPOINT])
     check_free(listening, MONITOR_PORT)
+    try:
+        check_zenoh_file(zenoh, role="operator")
+    except EgpError as error:
+        if "that of the role" in str(error):
+            error.add_note("or monitor.json5, with which the page shows vehicles, too")
+        raise
     with until_signal(), bind(host, port) as bound:
         from egp_service.monitor.listener import Listener
 

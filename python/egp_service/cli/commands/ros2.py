@@ -123,6 +123,7 @@ def ros2(
     if autoware_parameters is not None:
         _write_settings(autoware_parameters, loaded.dt)
         return
+    from egp_service.control.certificates import check_zenoh_file
     from egp_service.control.endpoints import check_endpoints, why_unreachable
     from egp_service.ros2.driving import Drive, Vehicle
     from egp_service.ros2.node import Node
@@ -152,6 +153,7 @@ def ros2(
         router = ROS_ROUTER_ENDPOINT
     where = f"at the endpoints of {zenoh}" if router is None else router
     check_endpoints([] if router is None else [router])
+    check_zenoh_file(zenoh)
     if router is not None and (reason := why_unreachable(router)):
         say(
             console,

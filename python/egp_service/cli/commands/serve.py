@@ -116,6 +116,7 @@ def serve(
     from egp_service.cli.settings_file import naming, read_service, read_settings
     from egp_service.control.endpoints import SERVICE_ENDPOINT, check_endpoints, check_free
     from egp_service.control.toml_text import dumps
+    from egp_service.zenoh_threads import use_for_service
 
     table: dict[str, object] = {}
     if config is not None:
@@ -142,6 +143,7 @@ def serve(
         return
     if config is None or listen:
         check_free(listen or [SERVICE_ENDPOINT])
+    use_for_service(dumps(table), table.get("zenoh_file"))
     with naming(config):
         serve_until_signal(dumps(table))
 

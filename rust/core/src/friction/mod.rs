@@ -135,7 +135,7 @@ impl FrictionEstimator {
         let positions = (0..POINTS).map(|i| (point(i) / low).ln() / gap).collect();
         Self {
             innovations: Innovations::new(library, settings),
-            window: settings.window(library.dt()),
+            window: settings.window(library),
             vehicles: Batch::new(vehicles, library.dt()),
             of_members: Batch::new(of_members, library.dt()),
             hypotheses,

@@ -4,15 +4,15 @@ use serde::{Deserialize, Serialize};
 
 use super::range::{check, not_negative};
 use super::{SettingsError, periods};
-use crate::NY;
 use crate::vehicle::SLIPPERY;
+use crate::{Library, NY};
 
 /// How the ensemble's weights follow the last transitions.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields, expecting = "a table")]
 pub struct WeightSettings {
     /// Window `K`: number of past transitions, 1 to 1000; requests hold at most 64. Default: 0.5 s, which are 25 periods of
-    /// 0.02 s, but at most 64 periods.
+    /// 0.02 s, and shorter for small vehicles, but at most 64 periods.
     pub window: Option<usize>,
     /// Weigh the window's errors by the inverse of their covariance, so that m/s and rad/s may be added. Default
     /// true; false is the paper's `S = I`, with which the weights also follow windows without information.
@@ -95,10 +95,19 @@ impl WeightSettings {
     /// Longest window accepted.
     pub const MAX_WINDOW: usize = 1000;
 
-    /// The window `K` for a period of `dt` s.
-    pub fn window(&self, dt: f64) -> usize {
+    /// The window `K` with a library.
+    ///
+    /// By default it is 0.5 s for a full-size vehicle, and shorter in proportion to the root of the
+    /// [scale](egp_parameters::VehicleParameters::scale): vehicles of similar shape pass a border between surfaces, and excite
+    /// their tyres, in times that are proportional to the root of their size.
+    pub fn window(&self, library: &Library) -> usize {
+        self.window_of(library.dt(), library.vehicle().scale())
+    }
+
+    /// As [`Self::window`], for a period of `dt` s and a vehicle of this scale.
+    pub(crate) fn window_of(&self, dt: f64, scale: f64) -> usize {
         self.window
-            .unwrap_or_else(|| periods(WINDOW, dt, LONGEST_DEFAULT_WINDOW))
+            .unwrap_or_else(|| periods(WINDOW * scale.sqrt(), dt, LONGEST_DEFAULT_WINDOW))
     }
 
     /// What a member with a positive weight costs, in nats, if the most slippery member has the coefficient `friction`.

@@ -160,7 +160,7 @@ impl Settings {
         let vehicle = self.vehicle(library);
         let horizon = || default_horizon(dt, friction, vehicle.scale());
         self.horizon = Some(self.horizon.unwrap_or_else(horizon));
-        self.weights.window = Some(self.weights.window(dt));
+        self.weights.window = Some(self.weights.window_of(dt, library.scale()));
         self.weights.member_penalty = Some(self.weights.member_penalty(friction));
         self.weights.measurement = Some(self.weights.measurement(measurement_noise));
         self.measurement_delay = Some(self.measurement_delay(measurement_delay));
@@ -293,9 +293,11 @@ mod tests {
     }
 
     #[test]
-    fn the_horizon_of_small_vehicles_is_shorter() {
+    fn horizon_and_window_of_small_vehicles_are_shorter() {
         let horizon = |scale| default_horizon(0.02, 1.0, scale);
         assert_eq!([1.0, 0.25, 0.16, 1e-6].map(horizon), [40, 20, 16, 1]);
+        let window = |scale| WeightSettings::default().window_of(0.02, scale);
+        assert_eq!([1.0, 0.25, 0.16, 1e-6].map(window), [25, 13, 10, 1]);
     }
 
     #[test]

@@ -46,7 +46,7 @@ pub(super) fn plan(
     ws: &mut Workspace,
     reply: &mut StepReply,
 ) {
-    let window = settings.weights.window(library.dt());
+    let window = settings.weights.window(library);
     let full = ws.delay.map_or(window, |delay| delay.known(window));
     let fills = (1..full).contains(&used);
     let plan = |ws: &mut Workspace| {

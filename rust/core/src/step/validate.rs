@@ -109,7 +109,7 @@ pub(super) fn validate<'a>(
     request: &StepRequest<'a>,
 ) -> Result<ValidRequest<'a>, StepError> {
     shapes(library, settings, request)?;
-    let window = settings.weights.window(library.dt());
+    let window = settings.weights.window(library);
     history_shapes(library.members().len(), window, request)?;
     finite(request)?;
     let rows = ValidRequest {

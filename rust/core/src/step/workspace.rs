@@ -120,7 +120,7 @@ impl Workspace {
         check_limits(&vehicle)?;
         let late = settings.measurement_delay(library.metadata().measurement_delay);
         let delay = Delay::new(late, dt);
-        check_window(settings.weights.window(dt), dt, late, delay)?;
+        check_window(settings.weights.window(library), dt, late, delay)?;
         let limits = |member: &Member| {
             let limits = member.tyre_limits(&vehicle);
             let stated = settings.soft.slip.map(|slip| slip * member.friction());
@@ -136,11 +136,11 @@ impl Workspace {
             vehicle,
             tyres,
             delay,
-            aligned: Vec::with_capacity(settings.weights.window(dt)),
+            aligned: Vec::with_capacity(settings.weights.window(library)),
             noise: WindowNoise::of(library, &settings.weights),
-            estimator: WeightEstimator::new(n, settings.weights.window(dt)),
+            estimator: WeightEstimator::new(n, settings.weights.window(library)),
             friction: FrictionEstimator::new(library, &settings.weights),
-            residual: ResidualFilter::new(&settings.residual, dt, settings.weights.window(dt)),
+            residual: ResidualFilter::new(&settings.residual, dt, settings.weights.window(library)),
             offsets: vec![GpOutput::zeros(); horizon],
             previous: vec![0.0; n],
             stages: StageWeights::new(library.members(), horizon),

@@ -62,7 +62,7 @@ impl WindowNoise {
     /// Levels from the members' root-mean-square noise, the setting `measurement`, and fractions of both. Without
     /// `whiten` this is the paper's `S = I`.
     pub fn of(library: &Library, settings: &WeightSettings) -> Self {
-        let window = settings.window(library.dt());
+        let window = settings.window(library);
         if !settings.whiten {
             return Self::new(&GpOutput::repeat(1.0), &GpOutput::zeros(), window);
         }

@@ -163,7 +163,7 @@ fn close<const N: usize>(
             line: last.line,
             problem: format!(
                 "the last point is {gap:.2} m from the first, but adjacent points are at most {longest:.2} m \
-                 apart: state closed = false if this track is open"
+                 apart: if this track is open, state closed = false, or --open on the command line"
             ),
         });
     }

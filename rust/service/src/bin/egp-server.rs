@@ -121,10 +121,13 @@ impl Arguments {
     }
 }
 
+#[allow(unsafe_code)]
 fn run() -> Result<(), Box<dyn std::error::Error>> {
     let arguments = Arguments::parse();
     let check = arguments.check;
     let config = arguments.configuration()?;
+    // SAFETY: no other thread runs yet.
+    unsafe { egp_wire::set_network_threads(egp_service::is_encrypted(&config)) };
     if !check {
         return Ok(serve(&config, ServiceSignals::register()?)?);
     }
@@ -147,10 +150,7 @@ fn run() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-#[allow(unsafe_code)]
 fn main() -> ExitCode {
-    // SAFETY: no other thread runs yet.
-    unsafe { egp_wire::set_receive_threads() };
     match run() {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
