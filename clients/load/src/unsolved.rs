@@ -21,8 +21,9 @@ pub(crate) fn unsolved(outcomes: &BTreeMap<String, u64>) -> Option<String> {
 fn advice(outcome: &str) -> &'static str {
     match outcome {
         "refused: unauthenticated" => {
-            "the service has vehicle_keys; state the file of the keys of load/car-0 and so on with --key (`egp keys` makes it), and \
-             look whether the service has the same keys"
+            "the service has vehicle_keys; for simulated vehicles state the file of the keys of load/car-0 and so on with --key (`egp \
+             keys` makes it), and look whether the service has the same keys; recorded requests (--replay) cannot be sealed, and need a \
+             service without vehicle_keys"
         }
         "unreachable" | "no answer" | "timeout" => {
             "the service is gone, or access control does not pass these requests on: with certificates, state a --zenoh file whose \

@@ -16,6 +16,7 @@ use thiserror::Error;
 
 use crate::config::VehicleConfig;
 use crate::network::{Event, EventKind, Network};
+use crate::reach::unreached;
 use crate::status::{Constants, Period, Status};
 use crate::traces::{StepTraces, StepTracesError};
 
@@ -26,7 +27,7 @@ pub enum ClientError {
     #[error(transparent)]
     Network(#[from] NetworkError),
     /// No replica announces itself, or none can be used.
-    #[error("{reason}; waited {patience:?} at {}, is the service running there?", places(.endpoints))]
+    #[error("{reason}; waited {patience:?} at {}, {}", places(.endpoints), why(.reason, .unreached))]
     NoReplica {
         /// What is wrong with each replica.
         reason: DiscoveryError,
@@ -34,6 +35,8 @@ pub enum ClientError {
         patience: Duration,
         /// Where it connected to; empty if the zenoh file says where.
         endpoints: Vec<String>,
+        /// What the system says of each of these endpoints at which no program accepts connections.
+        unreached: Vec<String>,
     },
     /// The system gives no random number, which a run with a key and the publication of the status need.
     #[error("the system gives no random number: {0}")]
@@ -56,6 +59,18 @@ fn places(endpoints: &[String]) -> String {
         "the endpoints of the zenoh file".to_owned()
     } else {
         endpoints.join(", ")
+    }
+}
+
+/// What to look for if no replica can be used.
+fn why(reason: &DiscoveryError, unreached: &[String]) -> String {
+    if unreached.is_empty() && reason.0.is_empty() {
+        "is the service running there? With TLS, a certificate may be missing, have expired or be of another authority"
+            .to_owned()
+    } else if unreached.is_empty() {
+        "is the service running there?".to_owned()
+    } else {
+        format!("where there is no link: {}", unreached.join("; "))
     }
 }
 
@@ -307,6 +322,7 @@ fn discover(
                 reason: discovery.error(),
                 patience: config.patience,
                 endpoints: config.connect.clone(),
+                unreached: unreached(&config.connect),
             });
         }
         let Some(question) = discovery.next_question() else {

@@ -26,6 +26,7 @@ mod client;
 mod config;
 mod fleet_map;
 mod network;
+mod reach;
 mod status;
 mod traces;
 

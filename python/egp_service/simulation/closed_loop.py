@@ -221,14 +221,14 @@ class _Loop:
         self._ticks += 1
         if self._distance >= self._goal:
             return self._ending("completed")
-        lateral = period.truth.lateral_error
-        if abs(lateral) > self._leave:
-            return self._ending(f"more than {self._leave:g} m beside the path: {lateral:+.2f} m")
         # A vehicle without a key is refused in each period from the first on.
         refused = period.step.mode == "waiting" and period.step.status == "refused"
+        lateral = period.truth.lateral_error
+        if abs(lateral) > self._leave and not refused:
+            return self._ending(f"more than {self._leave:g} m beside the path: {lateral:+.2f} m")
         if period.step.mode == "stop" or (refused and self._time > REFUSED):
             self._stopped = self._stopped or period.step.detail or period.step.status
-            if self._plant.state[V_X] < STANDSTILL:
+            if self._plant.state[V_X] < STANDSTILL or abs(lateral) > self._leave:
                 return self._ending(f"{STOPPED}: {self._stopped}")
         if self._time > self._time_limit:
             return self._ending(TOO_LONG)
