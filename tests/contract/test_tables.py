@@ -151,6 +151,10 @@ def test_badly_calibrated_members_and_parameters_far_from_the_prior_are_named() 
     (warning,) = prior_warnings("wet", both, simulated=True)
     assert "l_f (-3.1); the simulated car is no single-track vehicle" in warning
     assert "units" not in warning
+    height = {"h": dict(both[next(iter(both))], distance=-5.4)}
+    (warning,) = prior_warnings("wet", height, simulated=False)
+    assert "no file states the height" in warning
+    assert "units" not in warning
 
 
 @pytest.mark.parametrize("determined", [False, True])

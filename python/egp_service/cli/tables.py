@@ -208,12 +208,18 @@ def prior_warnings(
     if not far:
         return []
     listed = ", ".join(f"{name} ({distance:+.1f})" for name, distance in far.items())
-    reason = (
-        "the simulated car is no single-track vehicle (docs/your-car.md)"
-        if simulated
-        else "check the units of the log, and the vehicle's file; part of it can be the error of "
-        "the single-track equations (docs/your-car.md)"
-    )
+    if simulated:
+        reason = "the simulated car is no single-track vehicle (docs/your-car.md)"
+    elif far.keys() == {"h"}:
+        reason = (
+            "no file states the height of the centre of mass, whose prior is that of usual cars; "
+            "part of it can be the error of the single-track equations (docs/your-car.md)"
+        )
+    else:
+        reason = (
+            "check the units of the log, and the vehicle's file; part of it can be the error of "
+            "the single-track equations (docs/your-car.md)"
+        )
     return [f"{label}: more than {_FAR:g} standard deviations from the prior: {listed}; {reason}"]
 
 
