@@ -4,7 +4,7 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use clap::Parser;
+use clap::{ArgGroup, Parser};
 use egp_core::library::hex;
 use egp_service::{ServiceConfig, ServiceSignals, serve};
 use egp_wire::{print_line, print_notice};
@@ -46,9 +46,10 @@ the token, answers the requests that wait, and ends with status 0."#;
 /// Answers the control steps of vehicles over zenoh.
 #[derive(Parser)]
 #[command(version, long_about = HELP)]
+#[command(group(ArgGroup::new("served").args(["library", "config"]).required(true).multiple(true)))]
 struct Arguments {
     /// Configuration file (TOML).
-    #[arg(long, required_unless_present = "library")]
+    #[arg(long)]
     config: Option<PathBuf>,
     /// Library file, made by `egp train`.
     #[arg(long)]

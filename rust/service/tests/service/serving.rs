@@ -113,3 +113,16 @@ fn a_check_finds_what_would_prevent_a_start() {
         assert!(message.contains(reason), "{reason}: {message}");
     }
 }
+
+#[test]
+fn without_library_and_configuration_both_are_named() {
+    let output = std::process::Command::new(env!("CARGO_BIN_EXE_egp-server"))
+        .output()
+        .unwrap();
+    assert_eq!(output.status.code(), Some(2));
+    let told = String::from_utf8(output.stderr).unwrap();
+    assert!(
+        told.contains("<--library <LIBRARY>|--config <CONFIG>>"),
+        "{told}"
+    );
+}
