@@ -58,10 +58,10 @@ def read_vehicle(path: str | PathLike[str]) -> VehicleParameters:
     known = VehicleParameters.ranges()
     try:
         for name, value in fields.items():
-            if name not in known:
-                fields[name] = 0.0  # the error is that the name is not known
-            elif isinstance(value, bool) or not isinstance(value, int | float):
+            number = isinstance(value, int | float) and not isinstance(value, bool)
+            if name in known and not number:
                 raise TypeError(f"{name} is {value!r}: expected a number in SI units")  # noqa: TRY301
-        return VehicleParameters(**fields)
+        # A name that is not known is an error, whatever its value.
+        return VehicleParameters(**{n: v if n in known else 0.0 for n, v in fields.items()})
     except (ValueError, TypeError) as error:
         raise EgpError(f"{path}: {error}") from error

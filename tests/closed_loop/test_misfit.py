@@ -5,10 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from egp_service.cli.tables import misfit
 from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.in_process import in_process_controller
 from egp_service.simulation.scenario import Disturbances, Measurement, load_scenario
+from egp_service.simulation.summary import FrictionFound
 
 if TYPE_CHECKING:
     from egp_service.simulation.summary import Summary
@@ -35,3 +38,13 @@ def test_a_vehicle_that_the_members_do_not_predict_is_told() -> None:
     told = misfit(summary(Disturbances(wear_rear=0.3)))
     assert told is not None
     assert "do not predict this vehicle" in told
+
+
+def test_a_large_misfit_is_told_after_few_periods() -> None:
+    scenario = replace(SCENARIO, laps=0.05)
+    with in_process_controller(scenario) as controller:
+        trace = drive(scenario, controller, lambda _: None).trace
+    for misfit_of_window, periods, found in ((30.0, 10, 30.0), (30.0, 9, None), (19.0, 10, None)):
+        windows = np.full(len(trace), np.nan)
+        windows[:periods] = misfit_of_window
+        assert FrictionFound.of(replace(trace, misfit=windows)).misfit == found

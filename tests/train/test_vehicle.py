@@ -40,7 +40,8 @@ def test_a_vehicle_file_states_every_field_once(tmp_path: Path) -> None:
             r"car.toml: .*`width` is 1674.0 m: expected 0.05 to 10; check its unit",
         ),
         ({"length": 4.3}, "length"),
-        ({"width": "wide"}, "car.toml"),
+        ({"width": "wide"}, "car.toml: width is 'wide': expected a number"),
+        ({"colour": "red"}, "unknown field `colour`"),
     ):
         path.write_text(dumps({**CAR.fields(), **spoiled}), encoding="utf-8")
         with pytest.raises(EgpError, match=named):

@@ -1,6 +1,7 @@
 //! Vehicles that exchange what they measured through a real map service.
 #![allow(clippy::unwrap_used, missing_docs)]
 
+use std::sync::{Arc, Mutex};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
@@ -8,8 +9,12 @@ use egp_parameters::friction_hypotheses;
 use egp_service::map::{MapConfig, MapServer};
 use egp_testing::ports::free_endpoint;
 use egp_vehicle::{FleetMap, FleetMapConfig, FleetMapError, FleetNotice, RoadBelief};
+use egp_wire::{RoadTiles, encode_tiles_changed};
+use zenoh::Wait as _;
 
 const ROAD: f64 = 300.0;
+/// More publications than a vehicle keeps.
+const FLOOD: usize = 200;
 
 fn serve(endpoint: &str) -> MapServer {
     let mut config = MapConfig {
@@ -122,6 +127,51 @@ fn evidence_waits_for_a_service_that_starts_later() {
     assert!(other.fetch());
     assert_eq!(other.origins(), ["car"]);
     server.stop().unwrap();
+}
+
+#[test]
+fn after_more_publications_than_are_kept_all_tiles_are_asked_for() {
+    let endpoint = free_endpoint();
+    let mut hub = zenoh::Config::default();
+    for (key, value) in [
+        ("listen/endpoints", format!("[\"{endpoint}\"]")),
+        ("scouting/multicast/enabled", "false".to_owned()),
+    ] {
+        hub.insert_json5(key, &value).unwrap();
+    }
+    let hub = zenoh::open(hub).wait().unwrap();
+    let asked = Arc::new(Mutex::new(Vec::new()));
+    let seen = asked.clone();
+    let service = hub
+        .declare_queryable("egp/v1/map/depot/car/ring/tiles/*")
+        .callback(move |query| {
+            let key = query.key_expr().as_str();
+            seen.lock()
+                .unwrap()
+                .push(key.rsplit('/').next().unwrap().to_owned());
+            let nothing = RoadTiles::default().encode();
+            query.reply(key, nothing).wait().unwrap();
+        })
+        .wait()
+        .unwrap();
+    let mut car = Car::connect("car", &endpoint);
+    let publish = || {
+        let changed = encode_tiles_changed(vec![2]);
+        (hub.put("egp/v1/@map/depot/ring", changed).wait()).unwrap();
+    };
+    car.drive_until(|_| {
+        publish();
+        !asked.lock().unwrap().is_empty()
+    });
+    assert_eq!(asked.lock().unwrap()[0], "2");
+    asked.lock().unwrap().clear();
+    for _ in 0..FLOOD {
+        publish();
+    }
+    sleep(Duration::from_millis(500)); // until they have arrived
+    car.drive_until(|_| !asked.lock().unwrap().is_empty());
+    assert_eq!(asked.lock().unwrap()[0], "0");
+    service.undeclare().wait().unwrap();
 }
 
 #[test]

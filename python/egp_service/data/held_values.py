@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 
 # Share of the periods in which a held column keeps its value; 30 Hz in rows of 50 Hz give 0.4.
 _SHARE: Final = 0.38
-# Number of changes beside periods without one from which these are told from coarse values.
+# Least number of changes next to a repeated value, which tell held values from coarse ones.
 _CHANGES: Final = 50
-# A coarse column repeats where it changes slowly, and its changes there are single quanta. Those of
-# a held column differ: their median is so many times as large as this quantile of them.
+# A coarse column repeats a value where it changes slowly, and its changes there are single quanta.
+# Those of a held column differ: their median is at least `_SPREAD` times the quantile `_SMALLEST`.
 _SPREAD: Final = 3.0
 _SMALLEST: Final = 0.05
 # Share of the largest speed below which the vehicle counts as standing.

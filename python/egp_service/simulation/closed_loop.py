@@ -39,7 +39,7 @@ FIRST_DEADLINE = 2.0
 # all zones. A reference that does not use it is slower.
 PATIENCE = {"zones": 2.0, "here": 4.0, "weights": 4.0, "nothing": 4.0}
 STANDSTILL = 0.3
-# s, after which a vehicle that stands because no request was answered with a plan has stopped.
+# Time in s after which a run ends if the vehicle stands and all its requests were refused.
 REFUSED = 2.0
 TOO_LONG = "took too long"
 STOPPED = "stopped by the gate"

@@ -148,7 +148,7 @@ impl Guard {
     ) -> Result<Sealed, WireError> {
         let denied = |detail: String| {
             if self.tells_denial(Instant::now()) {
-                tracing::warn!(%fleet, %vehicle, "a request is refused, of which the log tells once a minute: {detail}");
+                tracing::warn!(%fleet, %vehicle, "refused a request whose sender did not prove who it is (logged at most once a minute): {detail}");
             }
             WireError::permanent(Code::Unauthenticated, detail)
         };

@@ -49,6 +49,7 @@ def fetch(
     from egp_service.cli.waiting import waiting
     from egp_service.control.endpoints import check_endpoints
     from egp_service.control.toml_text import dumps
+    from egp_service.zenoh_threads import use_for_service
 
     if not connect and zenoh is None:
         raise EgpError(
@@ -60,6 +61,7 @@ def fetch(
         network["zenoh_file"] = str(zenoh)
     if connect:
         network["zenoh"] = {"connect/endpoints": json.dumps(connect)}
+    use_for_service(dumps(network), network.get("zenoh_file"))
     with waiting("a replica", connect or [], timeout):
         replica = fetch_library(sha256, output, dumps(network), library_keys=keys, timeout=timeout)
     if replica is None:

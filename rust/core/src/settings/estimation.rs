@@ -177,6 +177,12 @@ mod tests {
     use super::*;
 
     #[test]
+    fn the_window_of_small_vehicles_is_shorter() {
+        let window = |scale| WeightSettings::default().window_of(0.02, scale);
+        assert_eq!([1.0, 0.25, 0.16, 1e-6].map(window), [25, 13, 10, 1]);
+    }
+
+    #[test]
     fn members_have_a_penalty_if_one_is_slippery_and_weights_have_a_likelihood() {
         let penalty = |text: &str, friction| {
             let weights: WeightSettings = toml::from_str(text).unwrap();

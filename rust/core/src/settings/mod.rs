@@ -14,6 +14,7 @@
 mod control;
 mod cost;
 mod estimation;
+mod horizon;
 mod range;
 mod residual;
 
@@ -27,8 +28,8 @@ pub use cost::{Cost, ScaledWeights};
 pub use estimation::{Prior, WeightSettings};
 pub use residual::ResidualSettings;
 
-use crate::vehicle::SLIPPERY;
 use crate::{Library, NY};
+use horizon::default_horizon;
 use range::check;
 
 /// Settings of the control step.
@@ -70,10 +71,6 @@ pub struct Settings {
     /// QP solver.
     pub solver: SolverSettings,
 }
-
-/// The default horizon in s of a full-size vehicle if no member is slippery, and in periods at most.
-const HORIZON: f64 = 0.8;
-const LONGEST_DEFAULT_HORIZON: usize = 120;
 
 /// Longest delay of measured states accepted, in s.
 const MAX_DELAY: f64 = 0.5;
@@ -235,17 +232,6 @@ fn periods(time: f64, dt: f64, most: usize) -> usize {
     (time / dt).round().clamp(1.0, most as f64) as usize
 }
 
-/// The default of [`Settings::horizon`] for a period of `dt` s, the coefficient `friction` of the most slippery member, and a
-/// vehicle of this scale.
-fn default_horizon(dt: f64, friction: f64, scale: f64) -> usize {
-    let slippery = (SLIPPERY / friction).max(1.0).powf(2.0 / 3.0);
-    periods(
-        HORIZON * scale.sqrt() * slippery,
-        dt,
-        LONGEST_DEFAULT_HORIZON,
-    )
-}
-
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
@@ -283,21 +269,6 @@ mod tests {
                 settings
             );
         }
-    }
-
-    #[test]
-    fn the_horizon_is_longer_if_a_member_is_slippery() {
-        let horizon = |friction| default_horizon(0.02, friction, 1.0);
-        let frictions = [1.1, 0.5, 0.3, 0.1, 0.01];
-        assert_eq!(frictions.map(horizon), [40, 40, 56, 117, 120]);
-    }
-
-    #[test]
-    fn horizon_and_window_of_small_vehicles_are_shorter() {
-        let horizon = |scale| default_horizon(0.02, 1.0, scale);
-        assert_eq!([1.0, 0.25, 0.16, 1e-6].map(horizon), [40, 20, 16, 1]);
-        let window = |scale| WeightSettings::default().window_of(0.02, scale);
-        assert_eq!([1.0, 0.25, 0.16, 1e-6].map(window), [25, 13, 10, 1]);
     }
 
     #[test]

@@ -289,6 +289,16 @@ fn errors_name_the_invalid_points() {
         let error = Path::from_points(&points, true, None).unwrap_err();
         assert!(matches!(error, PathError::TooSharp { .. }), "{error}");
     }
+    // Of a line with one point beside it this one is named.
+    let mut points = line(200);
+    points[120][1] += 50.0 * (points[1][0] - points[0][0]);
+    match open(&points) {
+        PathError::TooSharp { point, x, .. } => {
+            assert!((118..=121).contains(&point), "{point}");
+            assert_eq!(x, points[point][0]);
+        }
+        error => unreachable!("{error}"),
+    }
     // A bend after 100 km, on which pieces of half a metre are too many.
     let mut far: Vec<[f64; 2]> = (0..20_000).map(|i| [5.0 * f64::from(i), 0.0]).collect();
     far.extend((1..20).map(|i| {

@@ -185,3 +185,11 @@ fn a_file_without_keys_is_an_error_of_the_service() {
     let named = error.contains("egp-no-keys") && error.contains("no key");
     assert!(named, "{error}");
 }
+
+#[test]
+fn a_sender_that_does_not_prove_who_it_is_is_told_once_a_minute() {
+    let (guard, _) = guard();
+    let start = Instant::now();
+    let told = [0.0, 59_000.0, 61_000.0, 62_000.0].map(|ms| guard.tells_denial(at(start, ms)));
+    assert_eq!(told, [true, false, true, false]);
+}
