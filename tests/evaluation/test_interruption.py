@@ -110,10 +110,10 @@ def test_results_cut_off_in_the_middle_hold_nobody_up() -> None:
 
 @contextmanager
 def evaluation(folder: Path, *options: str) -> Iterator[subprocess.Popen[str]]:
-    """Drive twelve laps of 380 m."""
+    """Drive twelve laps of 750 m."""
     track = folder / "circle.csv"
-    angle = np.linspace(0.0, 2.0 * np.pi, 60, endpoint=False)
-    rows = np.column_stack([60.0 * np.cos(angle), 60.0 * np.sin(angle), np.full((60, 2), 4.0)])
+    angle = np.linspace(0.0, 2.0 * np.pi, 120, endpoint=False)
+    rows = np.column_stack([120.0 * np.cos(angle), 120.0 * np.sin(angle), np.full((120, 2), 4.0)])
     np.savetxt(track, rows, delimiter=",", header="x_m,y_m,w_tr_right_m,w_tr_left_m")
     command = [sys.executable, "-m", "egp_service", "evaluate", "-e", "unseen-track"]
     process = subprocess.Popen(
