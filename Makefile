@@ -88,7 +88,7 @@ site: .venv/built-docs ## Build the documentation site in target/site
 TARGET := x86_64-unknown-linux-gnu
 wheel: .venv/bin/python ## Build a wheel for Linux with glibc 2.17 or newer: make wheel TARGET=aarch64-unknown-linux-gnu
 	$(BIN)/pip install --quiet --constraint constraints.txt ziglang
-	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/maturin build --release --locked --zig --target $(TARGET) \
+	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/maturin build --profile dist --locked --zig --target $(TARGET) \
 		--compatibility manylinux2014 --interpreter $(BIN)/python --out target/wheels
 
 ARM := aarch64-unknown-linux-gnu
@@ -114,6 +114,7 @@ EXTRAS_viz := viz
 EXTRAS_dev := train,viz,paper,cluster,dev
 EXTRAS_docs := viz,docs
 EXTRAS_bench := train,viz,paper,cluster,dev,bench
+PROFILE_bench := dist
 
 # One marker per set of extras; a change to Rust or to the package's metadata rebuilds the extension. The crates are
 # compiled while uv installs the packages; maturin then finds both done. Where uv cannot reach the index, pip tries with
@@ -128,7 +129,7 @@ EXTRAS_bench := train,viz,paper,cluster,dev,bench
 .venv/built-%: .venv/bin/python pyproject.toml constraints.txt $(RUST)
 	export VIRTUAL_ENV=$(CURDIR)/.venv PATH="$(CURDIR)/$(BIN):$$PATH" UV_SYSTEM_CERTS=true \
 		UV_CONSTRAINT=$(CURDIR)/constraints.txt PIP_CONSTRAINT=$(CURDIR)/constraints.txt PIP_NO_COMPILE=1; \
-	build="maturin develop --release --locked"; \
+	build="maturin develop --profile $(or $(PROFILE_$*),release) --locked"; \
 	$$build --quiet --skip-install & \
 	uv pip install --requirement pyproject.toml $(patsubst %,--extra %,$(subst $(COMMA), ,$(EXTRAS_$*))); \
 	wait; $$build --extras $(EXTRAS_$*) --uv || $$build --extras $(EXTRAS_$*)
