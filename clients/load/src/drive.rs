@@ -5,7 +5,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use egp_simulator::{CAR, Course, Period, SimulatedVehicle, SimulationError};
-use egp_vehicle::{ClientError, GateLimits, Mode, VehicleConfig};
+use egp_vehicle::{ClientError, GateLimits, Mode, Unusable, VehicleConfig};
 use egp_wire::Interrupt;
 
 use crate::tally::Tally;
@@ -13,6 +13,9 @@ use crate::{Arguments, Failure};
 
 /// Distance from its path, m, beyond which a vehicle counts as lost.
 const LOST: f64 = 10.0;
+
+/// What to do about a service that answers only vehicles with keys.
+const WITHOUT_KEY: &str = "\nState the file of the keys of load/car-0 and so on with --key (`egp keys` makes it)";
 
 /// What to do about a service that plans for another vehicle than the plant.
 const OTHER_VEHICLE: &str = "\nThe simulated vehicles are the built-in car. If the library is that of another vehicle, send \
@@ -45,7 +48,13 @@ pub(crate) fn connect(
     SimulatedVehicle::connect(&config, course, s).map_err(|error| match error {
         // A service is there, but its answers cannot be used.
         SimulationError::Client(ClientError::NoReplica { reason, .. }) if !reason.0.is_empty() => {
-            format!("{reason}{OTHER_VEHICLE}").into()
+            let is_without_key = |reason: &Unusable| *reason == Unusable::WithoutKey;
+            let advice = if reason.0.values().any(is_without_key) {
+                WITHOUT_KEY
+            } else {
+                OTHER_VEHICLE
+            };
+            format!("{reason}{advice}").into()
         }
         error => error.into(),
     })

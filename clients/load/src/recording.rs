@@ -20,6 +20,12 @@ pub(crate) enum UnfitRecording {
         "replica {0} serves another library; replay a recording that was made with a library that is served"
     )]
     Unserved(Name),
+    /// A replica answers only sealed requests, and a seal cannot be used twice.
+    #[error(
+        "replica {0} answers only vehicles with a secret key, and recorded requests cannot be sealed again; replay them at a \
+         service without `vehicle_keys`"
+    )]
+    Sealed(Name),
     /// A library of the recording is not the one that a replica describes, so that its control period is not known.
     #[error(
         "replicas serve the library of the recording beside the one that they describe, and do not state its control period; \
@@ -38,7 +44,7 @@ pub(crate) enum UnfitRecording {
 /// of the replica's own library only.
 ///
 /// # Errors
-/// [`UnfitRecording`] if a replica does not serve a library of the recording, no replica describes one, or their periods
+/// [`UnfitRecording`] if a replica does not serve a library of the recording or answers only sealed requests, no replica describes one, or their periods
 /// differ.
 pub(crate) fn period(
     replicas: &[(Name, Ready)],
@@ -48,6 +54,9 @@ pub(crate) fn period(
     for (replica, ready) in replicas {
         if !libraries.iter().all(|library| ready.serves(library)) {
             return Err(UnfitRecording::Unserved(replica.clone()));
+        }
+        if ready.sealed {
+            return Err(UnfitRecording::Sealed(replica.clone()));
         }
     }
     let mut periods = Vec::new();
@@ -129,12 +138,21 @@ mod tests {
         assert_eq!(period(&both, &[request(2)]), Ok(0.05));
         // The description of a replica states nothing about the libraries that it serves beside its own.
         assert_eq!(
-            period(&[old], &[request(2)]),
+            period(&[old.clone()], &[request(2)]),
             Err(UnfitRecording::Undescribed)
         );
         assert_eq!(
             period(&both, &[request(1), request(2)]),
             Err(UnfitRecording::Periods(0.02, 0.05))
+        );
+        let (name, ready) = old;
+        let sealed = Ready {
+            sealed: true,
+            ..ready
+        };
+        assert_eq!(
+            period(&[(name.clone(), sealed)], &[request(1)]),
+            Err(UnfitRecording::Sealed(name))
         );
         let alike = [replica("a", 1, 0.02, &[2]), replica("b", 2, 0.02, &[1])];
         assert_eq!(period(&alike, &[request(1), request(2)]), Ok(0.02));

@@ -20,11 +20,6 @@ pub(crate) fn unsolved(outcomes: &BTreeMap<String, u64>) -> Option<String> {
 /// What an outcome says about a whole measurement.
 fn advice(outcome: &str) -> &'static str {
     match outcome {
-        "refused: unauthenticated" => {
-            "the service has vehicle_keys; for simulated vehicles state the file of the keys of load/car-0 and so on with --key (`egp \
-             keys` makes it), and look whether the service has the same keys; recorded requests (--replay) cannot be sealed, and need a \
-             service without vehicle_keys"
-        }
         "unreachable" | "no answer" | "timeout" => {
             "the service is gone, or access control does not pass these requests on: with certificates, state a --zenoh file whose \
              certificate admits the vehicles load/car-0 and so on"
@@ -67,7 +62,6 @@ mod tests {
         assert_eq!(told(&[]).as_deref(), Some("no request was measured"));
         assert_eq!(told(&[("late", 99), ("solved", 1)]), None);
         for (outcome, advice) in [
-            ("refused: unauthenticated", "--key"),
             ("unreachable", "certificate"),
             ("no answer", "certificate"),
             ("late", "--budget"),

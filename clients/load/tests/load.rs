@@ -94,13 +94,28 @@ fn a_service_for_another_vehicle_is_told_from_one_that_is_not_there() {
 }
 
 #[test]
-fn a_measurement_without_a_plan_fails_and_says_why() {
+fn a_service_that_needs_keys_is_told_from_one_that_is_not_there() {
     let keys = Path::new(env!("CARGO_TARGET_TMPDIR")).join("load.keys");
     fs::write(&keys, format!("load/car-0 {}\n", "a1".repeat(32))).unwrap();
     let (server, endpoint) = serve(|config| config.vehicle_keys = Some(keys));
     let output = Command::new(env!("CARGO_BIN_EXE_egp-load"))
         .args(["--connect", &endpoint, "--vehicles", "1"])
+        .output()
+        .unwrap();
+    let told = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{told}");
+    assert!(told.contains("only vehicles with a secret key"), "{told}");
+    assert!(told.contains("load/car-0 and so on with --key"), "{told}");
+    server.drain();
+}
+
+#[test]
+fn a_measurement_without_a_plan_fails_and_says_why() {
+    let (server, endpoint) = serve(|_| {});
+    let output = Command::new(env!("CARGO_BIN_EXE_egp-load"))
+        .args(["--connect", &endpoint, "--vehicles", "1"])
         .args(["--seconds", "1", "--warm-up", "0.1"])
+        .args(["--budget", "0.001"]) // 20 µs, in which no answer can come
         .output()
         .unwrap();
     let (table, told) = (
@@ -108,12 +123,12 @@ fn a_measurement_without_a_plan_fails_and_says_why() {
         String::from_utf8(output.stderr).unwrap(),
     );
     assert_eq!(output.status.code(), Some(1), "{told}");
-    assert!(table.contains("refused: unauthenticated"), "{table}");
+    assert!(table.contains("late"), "{table}");
     let step = table.lines().find(|line| line.contains("in the step"));
     let dashes = format!("{:24}{}{:9}", "  in the step", "        -".repeat(4), 0);
     assert_eq!(step, Some(dashes.as_str()), "{table}");
     assert!(told.contains("no request was solved"), "{told}");
-    assert!(told.contains("with --key"), "{told}");
+    assert!(told.contains("raise --budget"), "{told}");
     server.drain();
 }
 

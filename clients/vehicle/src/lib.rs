@@ -32,7 +32,7 @@ mod traces;
 
 pub use client::{ClientError, VehicleClient};
 pub use config::{VehicleConfig, VehicleKeyError};
-pub use egp_driver::{DriverConfig, Late, Lost, Measurement, Outcome, Situation, Step};
+pub use egp_driver::{DriverConfig, Late, Lost, Measurement, Outcome, Situation, Step, Unusable};
 pub use egp_driver::{FleetNotice, FleetSettings, FleetSettingsError};
 pub use egp_gate::{Command, Limits as GateLimits, Mode};
 pub use egp_map::RoadBelief;

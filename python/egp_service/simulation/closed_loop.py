@@ -39,8 +39,6 @@ FIRST_DEADLINE = 2.0
 # all zones. A reference that does not use it is slower.
 PATIENCE = {"zones": 2.0, "here": 4.0, "weights": 4.0, "nothing": 4.0}
 STANDSTILL = 0.3
-# Time in s after which a run ends if the vehicle stands and all its requests were refused.
-REFUSED = 2.0
 TOO_LONG = "took too long"
 STOPPED = "stopped by the gate"
 
@@ -85,14 +83,14 @@ def drive(
     """Drive the scenario with `controller` and call `observe` with each period.
 
     `belief` is what earlier runs found about the road; what this run finds is added to it. It is
-    used if the scenario's reference speed knows nothing. From the period with the number
+    used if the scenario has `speed.knows = "nothing"`. From the period with the number
     `told_from` on, the reference speed is planned for the true friction of all zones.
 
     A loss of control is not an exception but the run's ending.
 
     Raises:
         EgpError: if a value of the scenario is out of its range, its track cannot be built, or its
-            reference speed knows the weights and the controller does not state its `frictions`.
+            `speed.knows` is "weights" and the controller does not state its `frictions`.
 
     """
     check_scenario(scenario, scenario.name)
@@ -221,12 +219,10 @@ class _Loop:
         self._ticks += 1
         if self._distance >= self._goal:
             return self._ending("completed")
-        # A vehicle without a key is refused in each period from the first on.
-        refused = period.step.mode == "waiting" and period.step.status == "refused"
         lateral = period.truth.lateral_error
-        if abs(lateral) > self._leave and not refused:
+        if abs(lateral) > self._leave:
             return self._ending(f"more than {self._leave:g} m beside the path: {lateral:+.2f} m")
-        if period.step.mode == "stop" or (refused and self._time > REFUSED):
+        if period.step.mode == "stop":
             self._stopped = self._stopped or period.step.detail or period.step.status
             if self._plant.state[V_X] < STANDSTILL or abs(lateral) > self._leave:
                 return self._ending(f"{STOPPED}: {self._stopped}")

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use egp_gate::{Gate, GateError, Limits, WiderError};
 use egp_wire::keys::{Name, NameError};
-use egp_wire::{Seal, Tag, Timing, VehicleKey};
+use egp_wire::{Ready, Seal, Tag, Timing, VehicleKey};
 use prost::Message as _;
 use thiserror::Error;
 
@@ -106,6 +106,11 @@ impl DriverConfig {
             return self.key.is_none();
         };
         Timing::decode(attachment).is_ok_and(|timing| key.is_answer(question, payload, &timing.tag))
+    }
+
+    /// Whether a replica with this description answers only requests with a seal, which this vehicle has no key for.
+    pub(crate) fn lacks_key(&self, ready: &Ready) -> bool {
+        ready.sealed && self.key.is_none()
     }
 
     /// Checks everything that does not depend on what a replica serves.

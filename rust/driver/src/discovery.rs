@@ -28,6 +28,9 @@ pub enum Unusable {
     /// It drains.
     #[error("it is about to end")]
     Draining,
+    /// It answers only requests with the seal of a vehicle's key, and this vehicle has no key.
+    #[error("it answers only vehicles with a secret key; give the client the key of this vehicle")]
+    WithoutKey,
     /// It plans for a vehicle that can do less than the gate allows, or that has another mass.
     #[error(transparent)]
     Wider(#[from] WiderError),
@@ -159,6 +162,9 @@ impl Discovery {
         if !ready.ready {
             return Err(Unusable::Draining);
         }
+        if self.config.lacks_key(&ready) {
+            return Err(Unusable::WithoutKey);
+        }
         if let Some(planned) = &ready.vehicle {
             self.config.limits.check_within(planned)?;
         }
@@ -203,6 +209,7 @@ mod tests {
             members: vec!["dry".to_owned()],
             envelope: [[0.0; 6], [1.0; 6]],
             vehicle: Some(CAR),
+            sealed: false,
         }
     }
 
@@ -237,7 +244,7 @@ mod tests {
 
     #[test]
     fn an_answer_that_cannot_be_used_is_kept_as_the_reason_and_the_next_one_is_taken() {
-        let mut discovery = discovery(&["a", "b", "c", "d", "e"]);
+        let mut discovery = discovery(&["a", "b", "c", "d", "e", "f"]);
         let ending = Ready {
             ready: false,
             ..ready()
@@ -247,10 +254,15 @@ mod tests {
             vehicle: Some(weak),
             ..ready()
         };
+        let closed = Ready {
+            sealed: true,
+            ..ready()
+        };
         assert_eq!(discovery.answered(&name("a"), b"noise", b""), None);
         assert_eq!(discovery.answered(&name("b"), &ending.encode(), b""), None);
         assert_eq!(discovery.answered(&name("c"), &weak.encode(), b""), None);
         discovery.replica_gone(&name("d"));
+        assert_eq!(discovery.answered(&name("f"), &closed.encode(), b""), None);
         let error = discovery.error();
         assert!(matches!(error.0[&name("a")], Unusable::Malformed(_)));
         assert_eq!(error.0[&name("b")], Unusable::Draining);
@@ -258,7 +270,8 @@ mod tests {
             matches!(&error.0[&name("c")], Unusable::Wider(wider) if wider.name == "force_max")
         );
         assert_eq!(error.0[&name("e")], Unusable::Silent);
-        assert_eq!(error.0.len(), 4);
+        assert_eq!(error.0[&name("f")], Unusable::WithoutKey);
+        assert_eq!(error.0.len(), 5);
         let sound = discovery.answered(&name("e"), &ready().encode(), b"");
         assert_eq!(sound, Some(ready()));
     }
@@ -313,7 +326,11 @@ mod tests {
         };
         let (first, second) = (ask(), ask());
         assert_ne!(first, second);
-        let answer = ready().encode();
+        let answer = Ready {
+            sealed: true,
+            ..ready()
+        }
+        .encode();
         let tagged = |tag: &[u8]| {
             let timing = Timing {
                 tag: tag.to_vec(),

@@ -16,6 +16,7 @@
 //! #     ready: true, library: [7; 32], others: vec![], dt: 0.02, horizon: 4, history: 3, members: vec!["dry".into()],
 //! #     envelope: [[0.0, -5.0, -2.0, -0.6, -9e3, -0.4], [30.0, 5.0, 2.0, 0.6, 9e3, 0.4]],
 //! #     vehicle: Some(vehicle),
+//! #     sealed: false,
 //! # };
 //! let mut driver = Driver::new(DriverConfig::new("depot", "car-7", limits)?, served)?;
 //! driver.replica_appeared("garage-1".parse()?);

@@ -180,6 +180,7 @@ impl Engine {
                 .collect(),
             envelope: envelope(&self.library),
             vehicle: Some(self.vehicle()),
+            sealed: false, // an engine has no keys of vehicles
         }
     }
 

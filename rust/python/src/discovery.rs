@@ -62,8 +62,9 @@ impl Discover {
 
     /// Whether an answer describes a replica that can be used; otherwise the reason is kept.
     ///
-    /// A replica can be used if its description is valid and says that it is ready, if the gate allows no more than the
-    /// vehicle that the replica plans for can do, and if the attachment has the tag of the vehicle's key, if there is one.
+    /// A replica can be used if its description is valid and says that it is ready, if the vehicle has a key or the replica
+    /// asks for none, if the gate allows no more than the vehicle that the replica plans for can do, and if the attachment has
+    /// the tag of the vehicle's key, if there is one.
     fn is_usable(&mut self, replica: &str, answer: &[u8], attachment: &[u8]) -> PyResult<bool> {
         let replica = name(replica)?;
         Ok(self.0.answered(&replica, answer, attachment).is_some())

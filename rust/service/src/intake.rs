@@ -79,6 +79,7 @@ impl<Q: Query> Shared<Q> {
             Some(Target::Ready) => {
                 let mut description = (self.describe)();
                 description.ready = !self.draining.load(Ordering::Relaxed);
+                description.sealed = self.guard.is_some();
                 let encoding = "application/protobuf;egp.v1.Ready";
                 let (key, answer) = (keys::ready(&self.replica), description.encode());
                 let proof = (self.guard.as_ref()).and_then(|guard| guard.proof(&query, &answer));
@@ -384,6 +385,7 @@ pub(crate) mod tests {
         let (described, tag) = answer(&ask("ready", None), ready);
         let is_ready = |message: &[u8]| Ready::decode(message).unwrap().ready;
         assert!(is_ready(&described) && tag.is_none());
+        assert!(Ready::decode(&described).unwrap().sealed);
         shared.draining.store(true, Ordering::Relaxed);
         let (described, tag) = answer(&ask("ready", Some(seal(ready))), ready);
         assert!(!is_ready(&described));

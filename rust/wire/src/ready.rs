@@ -29,6 +29,8 @@ pub struct Ready {
     /// The vehicle that plans are made for: the library's, with the settings' mass and `l_f` in place of its own.
     /// Absent in the answers of older services.
     pub vehicle: Option<VehicleParameters>,
+    /// Whether the replica answers only requests with the seal of a vehicle's key.
+    pub sealed: bool,
 }
 
 impl Ready {
@@ -62,6 +64,7 @@ impl Ready {
             }),
             vehicle: self.vehicle.as_ref().map(vehicle_to_proto),
             others: self.others.iter().map(|id| id.to_vec()).collect(),
+            sealed: self.sealed,
         }
         .encode_to_vec()
     }
@@ -105,6 +108,7 @@ impl Ready {
             members: raw.members.iter().map(|name| printable(name)).collect(),
             envelope: envelope(raw.envelope)?,
             vehicle: raw.vehicle.as_ref().map(vehicle_from_proto).transpose()?,
+            sealed: raw.sealed,
         })
     }
 }

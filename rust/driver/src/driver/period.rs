@@ -383,6 +383,7 @@ impl Driver {
         };
         let lengths = ready.horizon == served.horizon && ready.history >= served.history;
         ready.ready
+            && !self.config.lacks_key(ready)
             && ready.serves(&served.library)
             && (ready.library != served.library || lengths && vehicle_fits(ready))
     }

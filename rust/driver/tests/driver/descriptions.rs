@@ -70,6 +70,10 @@ fn a_replica_that_plans_for_another_vehicle_is_not_asked() {
         ready: false,
         ..served()
     };
+    let closed = Ready {
+        sealed: true,
+        ..served()
+    };
     let older = Ready {
         vehicle: None,
         ..served()
@@ -93,6 +97,7 @@ fn a_replica_that_plans_for_another_vehicle_is_not_asked() {
         (heavy().encode(), false),
         (foreign.encode(), false),
         (ending.encode(), false),
+        (closed.encode(), false),
         (b"noise".to_vec(), false),
     ] {
         let mut driver = one_of_two();

@@ -31,6 +31,7 @@ pub(crate) fn served() -> Ready {
             [30.0, 5.0, 2.0, 0.6, 9e3, 0.4],
         ],
         vehicle: Some(CAR),
+        sealed: false,
     }
 }
 
