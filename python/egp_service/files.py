@@ -36,6 +36,8 @@ def destination(path: Path) -> Path:
         mode = path.stat().st_mode
     except FileNotFoundError:
         return path.resolve()
+    except NotADirectoryError:
+        raise _in_the_place_of(path.parent) from None
     if stat.S_ISDIR(mode):
         message = "this is a folder; name a file in it, or a new file"
         raise IsADirectoryError(errno.EISDIR, message, str(path))
@@ -46,13 +48,32 @@ def destination(path: Path) -> Path:
     return path.resolve()
 
 
+def make_folder(folder: Path, mode: int = 0o777) -> None:
+    """Make a folder and those in which it lies, where they are missing.
+
+    Raises:
+        OSError: naming what is in the place of a folder, or the folder that cannot be made.
+
+    """
+    try:
+        folder.mkdir(mode, parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError):
+        raise _in_the_place_of(folder) from None
+
+
+def _in_the_place_of(folder: Path) -> NotADirectoryError:
+    """Return the error that names the file in the place of a folder, or of one above it."""
+    found = next(path for path in (folder, *folder.parents) if os.path.lexists(path))
+    return NotADirectoryError(errno.ENOTDIR, "this is no folder; name another one", str(found))
+
+
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary path; the file there replaces the one at `path` at the end.
 
     Where `path` is a symbolic link, the file to which it leads is replaced, and the link stays.
-    The temporary file has the same name in a folder beside the one that it replaces. Folders that
-    are missing are made.
+    The temporary file has the same name in a folder beside the one that it replaces, and is on the
+    disk before it does so. Folders that are missing are made.
 
     Raises:
         OSError: naming `path`, not the temporary file, if no file can be written there, or if
@@ -62,11 +83,13 @@ def replacing(path: Path) -> Iterator[Path]:
     target = destination(path)
     temporary = f".{target.name}."
     try:
-        target.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(target.parent)
         with TemporaryDirectory(prefix=temporary, dir=target.parent) as folder:
             beside = Path(folder) / path.name
             yield beside
+            _sync(beside)
             beside.replace(target)
+        _sync(target.parent)
     except OSError as error:
         # An error of a write, such as that of a full disk, names no file.
         unnamed = error.errno is not None and error.filename is None
@@ -75,13 +98,22 @@ def replacing(path: Path) -> Iterator[Path]:
         raise
 
 
+def _sync(path: Path) -> None:
+    """Write a file, or the names in a folder, to the disk, so that a power failure keeps them."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
     """Wait until no other process is within this context with a folder.
 
     One that is missing is made, for its owner alone.
     """
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    make_folder(folder, 0o700)
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX)

@@ -41,22 +41,24 @@ __all__ = [
 class OcpProblem(NamedTuple):
     """The optimal control problem of a control step: the arguments of `solve_ocp`, in their order.
 
-    Position and yaw are relative to the measured pose, which is zero in `x0`.
+    The dynamics are x_{t+1} = A_t x_t + B_t u_t + c_t for t = 0..T-1, the states
+    `[p_x, p_y, v_x, psi, v_y, omega, delta]` in SI units and rad, and the inputs acceleration and
+    steering rate. Position and yaw are relative to the measured pose, which is zero in `x0`.
     """
 
     A: NDArray[np.float64]
-    """Dynamics (T, 7, 7)."""
+    """Derivatives of the next state by the state (T, 7, 7)."""
     B: NDArray[np.float64]
-    """Dynamics (T, 7, 2)."""
+    """Derivatives of the next state by the input (T, 7, 2)."""
     c: NDArray[np.float64]
-    """Dynamics (T, 7)."""
+    """Constant parts of the dynamics (T, 7)."""
     x0: NDArray[np.float64]
     """State (7,) at which the plan starts."""
     u_prev: NDArray[np.float64]
     """Acceleration in m/s² and steering rate in rad/s (2,) that are applied now."""
     reference: NDArray[np.float64]
-    """Reference (T, 7) of x_1..x_T."""
+    """Reference (T, 7) of x_1..x_T, in the units of the states."""
     weights: OcpWeights
-    """Cost."""
+    """Weights of the cost."""
     bounds: OcpBounds
-    """Bounds."""
+    """Bounds of inputs and states, and their penalties."""

@@ -46,6 +46,20 @@ def simulated_vehicle(name: str) -> VehicleParameters | None:
     return VehicleParameters.commonroad(int(number))
 
 
+def check_own_name(name: str) -> None:
+    """Check the name of a car that is not simulated by this package.
+
+    Raises:
+        EgpError: for the name of a simulated vehicle, as which training would treat its data.
+
+    """
+    if name.startswith(_SIMULATED):
+        raise EgpError(
+            f"vehicle {name}: names that begin with {_SIMULATED} are those of the simulated cars; "
+            "give the vehicle, or its file, another name"
+        )
+
+
 def read_vehicle(path: str | PathLike[str]) -> VehicleParameters:
     """Read a vehicle's parameters from a TOML file with one line for each field.
 

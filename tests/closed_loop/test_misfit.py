@@ -37,7 +37,7 @@ def test_the_vehicle_of_the_library_is_no_other_one() -> None:
 def test_a_vehicle_that_the_members_do_not_predict_is_told() -> None:
     told = misfit(summary(Disturbances(wear_rear=0.3)))
     assert told is not None
-    assert "do not predict this vehicle" in told
+    assert "do not predict this drive" in told
 
 
 def test_a_large_misfit_is_told_after_few_periods() -> None:

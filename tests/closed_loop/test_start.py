@@ -195,7 +195,7 @@ def test_a_run_has_a_new_folder_or_an_error_that_names_the_path(tmp_path: Path) 
     (tmp_path / "file").touch()
     (tmp_path / "link").symlink_to(tmp_path / "nothing")
     for name in ("file", "link"):
-        with pytest.raises(FileExistsError, match=rf"File exists: '.*/{name}'$"):
+        with pytest.raises(NotADirectoryError, match=rf"this is no folder; .*/{name}'$"):
             new_folder(tmp_path / name, "own")
 
 

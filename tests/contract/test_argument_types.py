@@ -34,6 +34,7 @@ NOBODY = "tcp/127.0.0.1:9"
 X = [0.0, 0.1, 15.0, 0.0, 0.0, 0.0, 0.0]
 NOTHING: Any = None
 FIVE: Any = 5
+BYTES: Any = b"tcp/127.0.0.1:7447"
 
 
 @pytest.fixture
@@ -52,6 +53,8 @@ def reference(controller: Controller) -> np.ndarray[Any, np.dtype[np.float64]]:
     [
         (lambda: VehicleClient.connect(NOTHING, gate=GATE), "endpoints: expected a text .*None"),
         (lambda: VehicleClient.connect(FIVE, gate=GATE), "endpoints: expected a text .* int"),
+        (lambda: VehicleClient.connect(BYTES, gate=GATE), "endpoints: expected a text .* bytes"),
+        (lambda: VehicleClient.connect([FIVE], gate=GATE), "endpoints: expected a text .* int"),
         (lambda: VehicleClient.connect(NOBODY, gate=NOTHING), "gate: expected a mapping .*None"),
         (lambda: Controller(DEMO_LIBRARY, gate=FIVE), "gate: expected a mapping .* int"),
         (lambda: FleetMap(NOBODY, NOTHING, road="r", vehicle="v"), "RoadBelief"),

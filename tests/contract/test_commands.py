@@ -202,8 +202,9 @@ def test_training_does_not_begin_with_what_fails_at_its_end(tmp_path: Path) -> N
     told = failure("train", str(log), "-o", library)
     assert "vehicle 'own car' are not known" in told
     assert "--vehicle" in told
-    absent = tmp_path / "absent" / "library.safetensors"
-    assert "expected a file in a folder" in failure("train", str(log), "-o", str(absent))
+    within = log / "library.safetensors"
+    result = RUNNER.invoke(app, ["train", str(log), "-o", str(within)])
+    assert "this is no folder" in str(result.exception)
     told = failure("train", str(log), "-o", library, "--picture", str(tmp_path))
     assert told == f"{tmp_path} is a folder: name a file in it"
 

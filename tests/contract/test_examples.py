@@ -1,9 +1,10 @@
-"""The documentation in the extension's stubs is what `help()` shows, and its examples run."""
+"""Examples in docstrings run, and `help()` shows what the extension's stubs say."""
 
 from __future__ import annotations
 
 import ast
 import doctest
+import importlib
 import inspect
 from operator import attrgetter
 from pathlib import Path
@@ -25,7 +26,8 @@ def documented(node: ast.AST, prefix: str = "") -> dict[str, str]:
     return found
 
 
-STUBS = Path(egp_service.__file__).parent.joinpath("_core").glob("*.pyi")
+PACKAGE = Path(egp_service.__file__).parent
+STUBS = PACKAGE.joinpath("_core").glob("*.pyi")
 DOCS = {
     name: text
     for stub in STUBS
@@ -37,8 +39,24 @@ def test_help_shows_the_documentation_of_the_stubs() -> None:
     assert {name: inspect.getdoc(attrgetter(name)(_core)) for name in DOCS} == DOCS
 
 
+# Modules of the package with an example in a docstring.
+MODULES = [
+    ".".join(file.relative_to(PACKAGE.parent).with_suffix("").parts)
+    for file in sorted(PACKAGE.rglob("*.py"))
+    if ">>> " in file.read_text(encoding="utf-8")
+]
+
+
 @pytest.mark.parametrize("name", [name for name, text in DOCS.items() if ">>>" in text])
 def test_example(name: str) -> None:
     test = doctest.DocTestParser().get_doctest(DOCS[name], {}, name, None, 0)
     assert test.examples
     assert doctest.DocTestRunner().run(test) == (0, len(test.examples))
+
+
+@pytest.mark.parametrize("name", MODULES)
+@pytest.mark.filterwarnings("ignore:.*Box observation space:UserWarning")
+def test_examples_of_a_module(name: str) -> None:
+    failed, attempted = doctest.testmod(importlib.import_module(name))
+    assert attempted
+    assert not failed

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import socket
 import stat
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -12,12 +13,11 @@ import pytest
 from egp_service import Controller, Plant, Recorder
 from egp_service.cli.options import check_writable
 from egp_service.control.recorded import read_recording
-from egp_service.files import replacing, write_text
+from egp_service.files import make_folder, replacing, write_text
 from egp_service.shipped import DEMO_LIBRARY
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
 
 def record(path: Path) -> None:
@@ -78,6 +78,29 @@ def test_a_link_to_itself_is_an_error_that_names_it(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="symbolic links") as found:
         write_text(link, "")
     assert found.value.filename == str(link)
+
+
+def test_a_file_is_on_the_disk_before_it_replaces_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, synced = tmp_path / "a.txt", list[tuple[str, str]]()
+    path.write_text("before")
+
+    def sync(descriptor: int) -> None:
+        of = Path(f"/proc/self/fd/{descriptor}").readlink()
+        synced.append((of.name, path.read_text()))
+
+    monkeypatch.setattr(os, "fsync", sync)
+    write_text(path, "after")
+    assert synced == [("a.txt", "before"), (tmp_path.name, "after")]
+
+
+@pytest.mark.parametrize("inside", ["file", "file/folder"])
+def test_a_file_in_the_place_of_a_folder_is_named(tmp_path: Path, inside: str) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(NotADirectoryError, match="this is no folder") as found:
+        make_folder(tmp_path / inside)
+    assert found.value.filename == str(tmp_path / "file")
 
 
 def test_an_error_of_a_write_names_the_file(tmp_path: Path) -> None:

@@ -36,8 +36,11 @@ from egp_service.vehicle import known_vehicle
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from contextlib import AbstractContextManager
 
     from numpy.typing import NDArray
+
+    from egp_service.training.recipe import Displays
 
 # The file is not part of the repository; its licence is the GPL.
 OVAL = os.environ.get("EGP_OVAL_LOG", "")
@@ -239,10 +242,15 @@ def test_the_command_prints_tables_and_draws(
         logs: list[Dataset],
         vehicle: VehicleParameters | None,
         settings: TrainingSettings,
-        report: Callable[[FitProgress], None],
+        displays: Displays,
+        comparing: Callable[[], AbstractContextManager[None]],
     ) -> list[LogOutcome]:
         assert settings == TrainingSettings(mean="best")
-        report(FitProgress("dry: delays", loss=0.0, done=0, total=1))
+        for _ in range(2):
+            with displays.fitting() as report:
+                report(FitProgress("dry: delays", loss=0.0, done=0, total=1))
+        with comparing():
+            pass
         assert [log.digest() for log in logs] == [exact.digest()]
         assert vehicle is not None
         assert vehicle.fields() == car.fields()

@@ -108,7 +108,7 @@ def test_what_a_failing_simulator_does_is_told(
     monkeypatch.setattr(experiments, "EXPERIMENTS", (fewer,))
     command = ["evaluate", "-e", FIRST, "--plant", "suv_car:Failing", "-o", "out"]
     result = CliRunner().invoke(app, command)
-    assert result.exit_code == 0, result.output
+    assert result.exit_code == 3, result.output
     output = " ".join(result.output.split())
     # Nothing says which vehicle the simulator has.
     assert (

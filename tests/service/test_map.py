@@ -94,7 +94,7 @@ def test_the_second_car_is_faster_with_what_the_first_one_found(tmp_path: Path) 
     endpoint = free_endpoint()
     with map_service(endpoint, "--folder", str(tmp_path / "roads")):
         first, said = lap_time(tmp_path, endpoint, "car-1")
-        assert "says nothing about this road yet" in said
+        assert "has no evidence about this road yet" in said
         second, said = lap_time(tmp_path, endpoint, "car-2")
         assert re.search(r"evidence of car-1 \(\d+ s ago\); it describes the road with 9\d%", said)
     # Measured: 48.8 and 44.0 s, and 41.0 s if all zones are told. The second car loses 0.38 of

@@ -8,7 +8,10 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from typer.testing import CliRunner
+
 from egp_service import simulation
+from egp_service.cli import app
 from egp_service.cli.demo import LAPS, SCENARIO, TOLD, drive_laps
 
 if TYPE_CHECKING:
@@ -33,3 +36,17 @@ def test_the_demo_drives_every_lap(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         summary = json.loads((lap.folder / "summary.json").read_text(encoding="utf-8"))
         assert summary["ending"]["completed"], lap.label
         assert (lap.folder / "run.mcap").exists(), lap.label
+
+
+def test_laps_that_were_not_completed_show_in_the_exit_status(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scenario = 'name = "fast"\nlaps = 0.2\n[track]\nkind = "circle"\n'
+    scenario += "[[zones]]\nstart = 0.0\nfriction = 0.8\n[speed]\nconstant = true\nv_max = 30.0\n"
+    (tmp_path / "fast.toml").write_text(scenario, encoding="utf-8")
+    monkeypatch.setattr(
+        sys.modules["egp_service.cli.demo"], "SCENARIO", str(tmp_path / "fast.toml")
+    )
+    result = CliRunner().invoke(app, ["demo", "-o", str(tmp_path / "runs")])
+    assert result.exit_code == 3
+    assert "Not completed: first lap, " in result.output

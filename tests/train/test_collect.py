@@ -49,7 +49,7 @@ def test_a_preset_is_labelled_by_its_peak() -> None:
 def test_progress_counts_runs() -> None:
     seen: list[tuple[int, int]] = []
     collect(WET, SHORT, jobs=1, report=lambda done, total: seen.append((done, total)))
-    assert seen == [(1, 3), (2, 3), (3, 3)]
+    assert seen == [(0, 3), (1, 3), (2, 3), (3, 3)]
 
 
 def test_rows_follow_each_other_in_time(run: Dataset) -> None:

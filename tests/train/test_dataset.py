@@ -219,6 +219,20 @@ def test_refuses_files_that_are_none(tmp_path: Path) -> None:
         Dataset.read(tmp_path / "bare.parquet")
 
 
+def test_a_damaged_file_at_which_polars_panics_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def panic(_: object) -> None:
+        raise pl.exceptions.PanicException("index out of bounds")
+
+    (tmp_path / "a.parquet").touch()
+    monkeypatch.setattr(pl, "read_parquet_metadata", panic)
+    monkeypatch.setattr(pl, "read_parquet", panic)
+    for read in (Dataset.read, read_table):
+        with pytest.raises(EgpError, match=r"a\.parquet: not a readable Parquet file \(index out"):
+            read(tmp_path / "a.parquet")
+
+
 def test_files_say_that_the_mass_was_assumed(tmp_path: Path) -> None:
     path = tmp_path / "wet.parquet"
     surface().write(path)

@@ -112,6 +112,13 @@ def test_compares_a_logged_steering_rate(tmp_path: Path) -> None:
     _import(tmp_path / "drive.csv", delta_dot="rate:deg/s")
     with pytest.raises(EgpError, match="check both units"):
         _import(tmp_path / "drive.csv", delta_dot="rate:rad/s")
+    # A piece behind a gap in which the wheels only seem to move, by the sensor's resolution.
+    t = pl.col("t")
+    noise = pl.when(t > 2.8e4).then(0.1 * (t // 50 % 2)).otherwise(pl.col("wheel"))
+    still = pl.when(t > 2.8e4).then(0.0).otherwise(pl.col("rate"))
+    broken = frame.filter((t < 2.7e4) | (t > 2.8e4))
+    broken.with_columns(wheel=noise, rate=still).write_csv(tmp_path / "broken.csv")
+    _import(tmp_path / "broken.csv", delta_dot="rate:deg/s")
 
 
 def test_doubts_time(tmp_path: Path) -> None:

@@ -240,6 +240,13 @@ def test_files_that_are_no_complete_recording_are_named(tmp_path: Path) -> None:
         writer.finish()  # type: ignore[no-untyped-call]
     with pytest.raises(EgpError, match=r"empty\.mcap: the recording has no messages"):
         load(tmp_path / "empty.mcap")
+    with (tmp_path / "announced.mcap").open("wb") as stream:
+        writer = McapWriter(stream)
+        writer.start()
+        writer.register_channel("/step", "json", 0)
+        writer.finish()  # type: ignore[no-untyped-call]
+    with pytest.raises(EgpError, match=r"announced\.mcap: .*/step"):
+        read_recording(tmp_path / "announced.mcap")
     with pytest.raises(EgpError, match="no such file or folder"):
         load(tmp_path / "none.mcap")
     named = dict.fromkeys(("noise.mcap", "n.MCAP", "noise.db3", "noise.bag"), "not a readable rec")

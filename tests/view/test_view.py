@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 import rerun_cli
+from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from mcap_protobuf.decoder import DecoderFactory
@@ -205,6 +207,22 @@ def test_a_recording_without_plant_shows_what_it_has(own: Path, tmp_path: Path) 
     texts = [text for (text,) in saved["/changes"]["TextLog:text"]]
     assert texts[1].startswith("stop, invalid_state: ")
     assert "psi" in texts[1]
+
+
+def test_entities_of_other_frames_are_left_out(tmp_path: Path) -> None:
+    entities_of = [SceneEntity(frame_id=frame, id=frame) for frame in ("map", "odom")]
+    for entity in entities_of:
+        entity.texts.add(text="here")
+    with Controller(shipped.DEMO_LIBRARY, gate=Plant().parameters.gate_limits()) as controller:
+        s = 15.0 * controller.dt * np.arange(controller.horizon + 1)
+        x = np.array([0.0, 0.1, 15.0, 0.0, 0.0, 0.0, 0.0])
+        step = controller.step(x, np.column_stack([s, 0 * s, 0 * s + 15.0, 0 * s]))
+        with Recorder(tmp_path / "own.mcap", controller) as recorder:
+            recorder.message("/scene", SceneUpdate(entities=entities_of), 0.0)
+            recorder.add(step, x, 0.0)
+    view(tmp_path / "own.mcap", "--save", tmp_path / "own.rrd")
+    shown = [name for name in entities(tmp_path / "own.rrd") if name.endswith("/label")]
+    assert shown == ["/map/map/label"]
 
 
 def test_an_interrupted_recording_is_shown_up_to_there(run: Path, tmp_path: Path) -> None:

@@ -32,10 +32,10 @@ class Selection:
 
     full: bool
     chosen: list[str]
-    """Names, also those that drive nothing."""
+    """Names of the experiments, also of those in which nothing drives."""
     driven: list[ClosedLoopExperiment]
     apart: list[ClosedLoopExperiment]
-    """Experiments whose trials are several drives."""
+    """Experiments each of whose trials consists of several drives."""
 
 
 def run(

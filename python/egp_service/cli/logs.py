@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from egp_service._core import EgpError
 from egp_service.cli.options import check_writable
 from egp_service.cli.output import say
-from egp_service.cli.progress import fitting
+from egp_service.cli.progress import fitting, working
 from egp_service.cli.tables import (
     MOTION_NAMES,
     delay_sentence,
@@ -19,7 +19,8 @@ from egp_service.cli.tables import (
 from egp_service.data.dataset import Dataset
 from egp_service.evaluation.log_figures import draw_log
 from egp_service.evaluation.logs import LAST_CHANGE, OURS, LogOutcome, evaluate_logs
-from egp_service.files import file_name
+from egp_service.files import file_name, make_folder
+from egp_service.training.recipe import Displays
 from egp_service.training.train import TrainingSettings
 from egp_service.vehicle import read_vehicle
 
@@ -42,7 +43,7 @@ def evaluate_on(console: Console, logs: Sequence[Path], vehicle: Path | None, ou
     datasets = [Dataset.read(path) for path in logs]
     car = None if vehicle is None else read_vehicle(vehicle)
     # Files that cannot be written are found before the minutes that training takes.
-    output.mkdir(parents=True, exist_ok=True)
+    make_folder(output)
     pictures = [output / f"{file_name(data.provenance.surface)}.png" for data in datasets]
     if len(set(pictures)) < len(pictures):
         raise EgpError(
@@ -50,8 +51,13 @@ def evaluate_on(console: Console, logs: Sequence[Path], vehicle: Path | None, ou
             "--surface"
         )
     check_writable(*pictures)
-    with fitting(console) as report:
-        outcomes = evaluate_logs(datasets, car, TrainingSettings(mean="best"), report)
+    outcomes = evaluate_logs(
+        datasets,
+        car,
+        TrainingSettings(mean="best"),
+        Displays(fitting=lambda: fitting(console)),
+        lambda: working(console, "comparing predictions"),
+    )
     for outcome, picture in zip(outcomes, pictures, strict=True):
         _show(console, outcome)
         with console.status("Drawing ..."):

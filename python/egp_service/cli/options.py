@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from egp_service._core import EgpError
-from egp_service.files import destination
+from egp_service.files import destination, make_folder
 
 Jobs = Annotated[int | None, typer.Option(min=1, help="Processes; one per core by default.")]
 Cluster = Annotated[
@@ -60,10 +60,13 @@ def check_unused(options: Mapping[str, object], reason: str) -> None:
 def check_writable(*files: Path | None) -> None:
     """Errors if a file that a command will write cannot be written, or is no regular file.
 
+    Folders that are missing are made.
+
     Raises:
         EgpError: naming the file.
         OSError: naming the file, if it is a pipe, a socket or a device, or cannot be looked up, as
-            below another file or behind links that lead to each other.
+            below another file or behind links that lead to each other, and naming a folder that
+            cannot be made.
 
     """
     for file in files:
@@ -72,8 +75,7 @@ def check_writable(*files: Path | None) -> None:
         if file.is_dir():
             raise EgpError(f"{file} is a folder: name a file in it")
         folder = destination(file).parent
-        if not folder.is_dir():
-            raise EgpError(f"{file}: expected a file in a folder that exists")
+        make_folder(folder)
         try:
             with TemporaryFile(dir=folder):
                 pass

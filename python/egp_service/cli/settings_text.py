@@ -36,7 +36,7 @@ class Setting:
     """One row of the document."""
 
     number: int
-    """Of the section; meanings refer to sections by it."""
+    """Number of the section, by which the texts of `meaning` refer to it."""
     section: str
     group: str
     """Heading within the section; empty if there is none."""

@@ -107,9 +107,10 @@ def misfit(summary: Summary) -> str | None:
     if found is None or found.misfit is None or found.misfit <= _MISFIT:
         return None
     return (
-        f"The members of the library do not predict this vehicle: the median misfit is "
+        "The members of the library do not predict this drive: the median misfit is "
         f"{found.misfit:.1f}, and without a systematic error 0.8 (docs/problem.md, section 8). Do "
-        "not trust the friction that was found; train a library for this vehicle and its load"
+        "not trust the friction that was found; train a library for this vehicle, its load, its "
+        "speeds and these surfaces"
     )
 
 
@@ -151,7 +152,7 @@ def headline_table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> Table
 def map_summary(origins: Mapping[str, float], trust: float | None) -> str:
     """Say whose evidence about the road was used, how old it is, and whether it fits the road."""
     if not origins or trust is None:
-        return "The fleet's map says nothing about this road yet"
+        return "The fleet's map has no evidence about this road yet"
     vehicles = ", ".join(f"{name} ({age:.0f} s ago)" for name, age in sorted(origins.items()))
     return f"The fleet's map has evidence of {vehicles}; it describes the road with {trust:.0%}"
 

@@ -39,7 +39,7 @@ class Controller(StepController):
 
     def __init__(
         self,
-        library: str | Path,
+        library: str | os.PathLike[str],
         settings: str | Mapping[str, object] = "",
         *,
         gate: Mapping[str, float],
@@ -67,7 +67,8 @@ class Controller(StepController):
                 f"object of the type {type(library).__name__}"
             )
         text = _text(settings)
-        engine = Engine(str(library), text)
+        library = os.fspath(library)
+        engine = Engine(library, text)
         self.library, self.members = engine.library_id, engine.members
         self.frictions = engine.frictions
         self.dt, self.horizon, self.history = engine.dt, engine.horizon, engine.history

@@ -48,12 +48,16 @@ def endpoint_list(endpoints: str | Sequence[str], port: int, *, configured: bool
             configuration.
 
     """
-    if not isinstance(endpoints, str | Sequence):
-        raise TypeError(
-            f"endpoints: expected a text such as 'tcp/127.0.0.1:{port}' or a sequence of texts, "
-            f"got an object of the type {type(endpoints).__name__}"
-        )
-    found = [endpoints] if isinstance(endpoints, str) else list(endpoints)
+    given: object = endpoints
+    found = []
+    several = isinstance(given, Sequence) and not isinstance(given, str | bytes)
+    for one in endpoints if several else [given]:
+        if not isinstance(one, str):
+            raise TypeError(
+                f"endpoints: expected a text such as 'tcp/127.0.0.1:{port}' or a list of texts, "
+                f"got an object of the type {type(one).__name__}"
+            )
+        found.append(one)
     if not (found or configured):
         raise InvalidArgumentError(
             f"endpoints: expected at least one, such as 'tcp/127.0.0.1:{port}', or a zenoh_file"

@@ -47,13 +47,13 @@ class Replay:
     """The steps of a recording that had a reply, with the replies of the replay."""
 
     time: NDArray[np.float64]
-    """(n,), s."""
+    """Times (n,) of the steps since the start of the recording, s."""
     x: NDArray[np.float64]
     """Measured states (n, 7)."""
     recorded: list[Answer]
     now: list[Answer]
     same: NDArray[np.bool_]
-    """(n,), whether the replies have the same bytes."""
+    """Whether the replies have the same bytes (n,)."""
     ranges: NDArray[np.float64]
     """Ranges (2,) of the actuators, N and rad/s."""
     unanswered: int

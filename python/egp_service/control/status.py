@@ -32,7 +32,7 @@ from egp_service.control.session import (
     session_config,
     zenoh_reason,
 )
-from egp_service.control.step import Closing, StepController, check_type
+from egp_service.control.step import Closing, Step, StepController, check_type
 from egp_service.control.step_record import measured_state, step_record
 from egp_service.quantities import POSITION
 
@@ -43,7 +43,6 @@ if TYPE_CHECKING:
     from google.protobuf.message import Message
     from numpy.typing import ArrayLike
 
-    from egp_service.control.step import Step
 
 VERSION: Final = 1
 INTERVAL: Final = 0.1
@@ -144,10 +143,12 @@ class StatusPublisher(Closing):
 
         Raises:
             InvalidArgumentError: unless `x` has the shape (7,).
+            TypeError: unless `step` is a `Step`.
             EgpError: if the publisher is closed, and in a process that was forked from one in which
                 zenoh ran.
 
         """
+        check_type("step", step, Step)
         state = measured_state(x)
         check_process()
         if self._session.is_closed():

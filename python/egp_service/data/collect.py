@@ -62,8 +62,8 @@ def collect(
 ) -> Dataset:
     """Collect on one surface, in the processes that `workers` gives for `jobs` and `cluster`.
 
-    Run `i` has a seed derived from `experiment.seed` and `i`. `report(done, total)` is called after
-    each run.
+    Run `i` has a seed derived from `experiment.seed` and `i`. `report(done, total)` is called
+    before the first run and after each one.
 
     Raises:
         EgpError: if vehicle or track are unknown, or if nothing could be recorded.
@@ -72,6 +72,7 @@ def collect(
     numbers = range(settings.runs)
     total = settings.runs + bool(settings.samples)
     parts: list[Dataset] = []
+    report(0, total)
     if settings.samples:
         parts.append(sample(experiment, settings.samples, settings.sampling))
         report(len(parts), total)

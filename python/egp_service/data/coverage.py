@@ -90,7 +90,7 @@ class Coverage:
         if self.at_grip < _LEAST:
             yield (
                 f"thin: {self.at_grip:.1f} s of cornering with more than {_GRIP:.0%} of the grip; "
-                "members learn little about the tyres' limits, and nothing tells the friction"
+                "members will not predict the tyres' limits, and the data do not tell the friction"
             )
         turning = self.time[:, 1:].sum(axis=1)
         for row in np.flatnonzero((self.time.sum(axis=1) >= THIN) & (turning < THIN)):

@@ -20,6 +20,7 @@ import polars as pl
 
 from egp_service._core import GRAVITY, MIN_SLIP_SPEED, EgpError
 from egp_service.data.provenance import Provenance
+from egp_service.data.table import UNREADABLE
 from egp_service.files import read_bytes, replacing
 from egp_service.quantities import GP_INPUT, GP_OUTPUT, NY, NZ, TILT
 
@@ -211,7 +212,7 @@ class Dataset:
                 provenance=provenance,
                 tilt=frame.select(*TILT).to_numpy().astype(np.float64) if tilted else None,
             )
-        except pl.exceptions.PolarsError as error:
+        except UNREADABLE as error:
             raise EgpError(
                 f"{path}: not a readable Parquet file ({error}); `egp collect --from-log` makes a "
                 "dataset of a log"

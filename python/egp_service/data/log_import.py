@@ -169,7 +169,7 @@ def _transitions(
     """Make the transitions of a log, without those that steer faster than `fastest` rad/s."""
     pieces, every, gaps = _pieces(log["time"], provenance.dt)
     block_periods = round(_TRAJECTORY_SECONDS / provenance.dt)
-    z, y, trajectory, step, tilt = [], [], [], [], []
+    z, y, trajectory, step, tilt, rates = [], [], [], [], [], []
     used = 0
     for first, last in pieces:
         ends = np.arange(first, last, every)
@@ -182,7 +182,7 @@ def _transitions(
         )
         delta_dot = np.diff(log["delta"][ends]) / provenance.dt
         if "delta_dot" in log:
-            _check_rate(delta_dot, log["delta_dot"][ends[:-1]], columns["delta_dot"])
+            rates.append((delta_dot, log["delta_dot"][ends[:-1]]))
         possible = np.abs(delta_dot) <= fastest
         wrong = np.diff(np.flatnonzero(np.diff(~possible, prepend=False, append=False)))[::2]
         gaps += tuple((wrong * provenance.dt).tolist())
@@ -193,6 +193,9 @@ def _transitions(
         trajectory.append((periods // block_periods).astype(np.uint32)[possible])
         step.append(np.arange(used, used + len(force), dtype=np.uint32)[possible])
         used += len(force) + 1  # a number is left out where the log is broken
+    if rates:
+        change, logged = np.hstack(rates)
+        _check_rate(change, logged, columns["delta_dot"])
     numbers, steps = np.concatenate(trajectory), np.concatenate(step)
     _, start, own = np.unique(numbers, return_index=True, return_inverse=True)
     found = Dataset(

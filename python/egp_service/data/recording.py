@@ -96,7 +96,10 @@ def _plain(messages: Messages) -> list[str]:
     found = []
     for topic in _STEPS:
         if topic in messages.topics:
-            _, _, message = next(messages.read([topic]))
+            first = next(messages.read([topic]), None)
+            if first is None:
+                continue
+            message = first[2]
             plain = (
                 f for f in _fields(message) if isinstance(_member(message, f), (str, *_NUMBER))
             )

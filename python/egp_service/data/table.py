@@ -29,6 +29,9 @@ _MOST_NAMES: Final = 20
 # What follows the name of a column that another one has, too; then comes its place from 1 on.
 _PLACE: Final = " (column "
 
+UNREADABLE: Final = (pl.exceptions.PolarsError, pl.exceptions.PanicException)
+"""What polars raises for a damaged file; the second is no `Exception`."""
+
 
 def read_table(path: Path, separator: str = ",") -> pl.DataFrame:
     """Read a Parquet file (`.parquet`) or a CSV file, which may be compressed by gzip.
@@ -49,7 +52,7 @@ def read_table(path: Path, separator: str = ",") -> pl.DataFrame:
     if path.suffix.lower() == ".parquet":
         try:
             return pl.read_parquet(io.BytesIO(content))
-        except pl.exceptions.PolarsError as error:
+        except UNREADABLE as error:
             raise EgpError(f"{path}: not a readable Parquet file ({error})") from error
     try:
         if content.startswith(_GZIP):

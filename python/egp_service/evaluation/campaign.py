@@ -21,7 +21,7 @@ from egp_service.evaluation.departures import avoidable
 from egp_service.evaluation.disturbances import GENTLE
 from egp_service.evaluation.experiments import REPLAYED
 from egp_service.evaluation.settling import resolution, settling_times
-from egp_service.files import file_name, write_text
+from egp_service.files import file_name, make_folder, write_text
 from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.course import build_path
 from egp_service.simulation.plant import source_file
@@ -96,7 +96,7 @@ class Campaign:
             EgpError: if the folder belongs to another library.
 
         """
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         # The processes of a cluster have other working directories.
         self._folder = folder.absolute()
         self._source = library
@@ -136,6 +136,7 @@ class Campaign:
     def drives(
         self,
         experiments: Iterable[ClosedLoopExperiment],
+        report: Callable[[int, int], None] = lambda _done, _total: None,
         *,
         jobs: int | None = None,
         cluster: str | None = None,
@@ -143,7 +144,7 @@ class Campaign:
         """Drive the trials to draw, by experiment.
 
         These are the ensemble at every condition and the others at one condition, for the first
-        seed.
+        seed. `report(done, total)` is called after each drive.
         """
         shown = [
             trial
@@ -152,11 +153,12 @@ class Campaign:
             if trial.contender.name == ENSEMBLE
             or (trial.condition == experiment.compared and trial.contender.name in SHOWN_CONTENDERS)
         ]
-        with workers(jobs, cluster) as pool:
-            runs = list(in_order(pool, drive_trial, [self._with_library(t) for t in shown]))
         found: dict[str, list[tuple[Trial, Run]]] = {}
-        for trial, run in zip(shown, runs, strict=True):
-            found.setdefault(trial.experiment, []).append((trial, run))
+        with workers(jobs, cluster) as pool:
+            runs = in_order(pool, drive_trial, [self._with_library(t) for t in shown])
+            for done, (trial, run) in enumerate(zip(shown, runs, strict=True), 1):
+                found.setdefault(trial.experiment, []).append((trial, run))
+                report(done, len(shown))
         return found
 
     def disturbed_library(self, name: str) -> Path:

@@ -7,15 +7,16 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from egp_service._core import FRICTION_HYPOTHESES, RoadBelief, merge_tiles
+from egp_service._core import FRICTION_HYPOTHESES, merge_tiles
 from egp_service.evaluation.contenders import ORACLE, make
 from egp_service.evaluation.experiment import ClosedLoopExperiment
 from egp_service.evaluation.unknown_roads import DRAWN, ROADS, informed
 from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.course import build_path
+from egp_service.simulation.reference import new_belief
 
 if TYPE_CHECKING:
-    from egp_service._core import Path
+    from egp_service._core import Path, RoadBelief
     from egp_service.evaluation.experiment import Trial
     from egp_service.simulation.scenario import Scenario
 
@@ -75,8 +76,8 @@ def reported(trial: Trial) -> RoadBelief | None:
     path = build_path(trial.scenario)
     maps = [_driven(trial, path, number + 1) for number in range(cars)]
     if wrong is not None:
-        maps.append(_uniform(path, wrong))
-    belief = RoadBelief(path)
+        maps.append(_uniform(trial.scenario, path, wrong))
+    belief = new_belief(trial.scenario, path)
     for index in range(belief.tiles):
         belief.report(index, merge_tiles([(other.tile(index), _AGE) for other in maps]))
     return belief
@@ -84,7 +85,7 @@ def reported(trial: Trial) -> RoadBelief | None:
 
 def _driven(trial: Trial, path: Path, number: int) -> RoadBelief:
     """Return what a car found on its first lap, which may end beside the road."""
-    belief = RoadBelief(path)
+    belief = new_belief(trial.scenario, path)
     scenario = _with_noise(trial.scenario, 1000 * number)
     drive(scenario, make(trial.contender, scenario), lambda _: None, belief)
     return belief
@@ -97,9 +98,9 @@ def _with_noise(scenario: Scenario, more: int) -> Scenario:
     return replace(scenario, track=track, seed=scenario.seed + more)
 
 
-def _uniform(path: Path, friction: float) -> RoadBelief:
+def _uniform(scenario: Scenario, path: Path, friction: float) -> RoadBelief:
     """Return the map of a car that reports one friction everywhere."""
-    belief = RoadBelief(path)
+    belief = new_belief(scenario, path)
     claimed = -0.5 * (np.log(np.array(FRICTION_HYPOTHESES) / friction) / _WRONG_SPREAD) ** 2
     for s in np.arange(0.0, _WRONG_LAPS * path.length, _WRONG_STEP):
         belief.update(float(s % path.length), claimed - claimed.max())

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from egp_service._core import RoadBelief
 from egp_service.evaluation.contenders import ORACLE, Contender, make
 from egp_service.evaluation.departures import avoidable
 from egp_service.evaluation.experiment import (
@@ -24,6 +23,7 @@ from egp_service.evaluation.experiment import (
 from egp_service.evaluation.unknown_roads import believing, informed
 from egp_service.simulation.closed_loop import drive
 from egp_service.simulation.course import build_path
+from egp_service.simulation.reference import new_belief
 from egp_service.simulation.scenario import Zone
 
 if TYPE_CHECKING:
@@ -131,7 +131,7 @@ def run(trial: Trial) -> IceOutcome:
     _, start, end = (zone.start for zone in trial.scenario.zones)
     middle = np.array([0.5 * (start + end) * path.length])
     believing = trial.scenario.speed.knows == "nothing"
-    belief = RoadBelief(path)
+    belief = new_belief(trial.scenario, path)
     medians: list[float] = []
 
     def observe(period: Period) -> None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING, Final
 
+from egp_service.files import make_folder
 from egp_service.shipped import DISTURBANCE_RECIPE, EVALUATION_RECIPE
 from egp_service.training.export import export
 from egp_service.training.recipe import Displays, Recipe, follow, training_provenance
@@ -46,7 +47,9 @@ def make(
     ]
     constant = dataclasses.replace(settings, mean="constant", max_points=_WHOLE_CHANGE_POINTS)
     with displays.fitting() as report:
-        others = train(pooled, twice, report) + train(paper, constant, report)
+        others = train(pooled, twice, report)
+    with displays.fitting() as report:
+        others += train(paper, constant, report)
     export(path, members + others, settings, training_provenance(settings))
 
 
@@ -65,5 +68,5 @@ def make_disturbed(
     disturbed = (dataclasses.replace(one, disturbances=values) for one in read.experiments)
     read = dataclasses.replace(read, experiments=tuple(disturbed))
     _, members = follow(read, jobs=jobs, cluster=cluster, displays=displays)
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent)
     export(path, members, read.training, training_provenance(read.training))

@@ -6,6 +6,7 @@ held-out blocks of the others.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from typing import TYPE_CHECKING, Final
 
@@ -22,11 +23,13 @@ from egp_service.training.choice import hold_out
 from egp_service.training.delays import find_delays
 from egp_service.training.open_loop import LINEAR, Skill, linear, skill
 from egp_service.training.prior_mean import PriorMean
+from egp_service.training.recipe import Displays
 from egp_service.training.threads import one_thread
 from egp_service.training.train import TrainingSettings, check_data, train_parts
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+    from contextlib import AbstractContextManager
 
     from numpy.typing import NDArray
 
@@ -53,11 +56,11 @@ class LogOutcome:
     name: str
     channels: Channels
     delays: Delays
-    """By what the log's inputs were moved before training and prediction."""
+    """Delays by which the log's inputs were moved before training and prediction."""
     member: TrainedMember
     """The member that is trained on the log, whose validation data are the held-out blocks."""
     skill: Skill
-    """Of all predictors on the held-out blocks."""
+    """Skill of all predictors on the held-out blocks."""
     last_change: NDArray[np.float64]
     """RMS errors (3,) over one period of the linear model that also gets the last change."""
     residual: Residual
@@ -83,11 +86,13 @@ def evaluate_logs(
     logs: Sequence[Dataset],
     vehicle: VehicleParameters | None,
     settings: TrainingSettings,
-    report: Callable[[FitProgress], None] = lambda _: None,
+    displays: Displays | None = None,
+    comparing: Callable[[], AbstractContextManager[None]] = contextlib.nullcontext,
 ) -> list[LogOutcome]:
     """Train on four of five blocks of each log and predict the fifth.
 
     All predictors get the log with its inputs moved by the delays found in the four blocks.
+    `displays` show the two trainings, and the context of `comparing` is around the rest.
 
     Raises:
         EgpError: if two logs have the same name of a surface, or differ in car or period, as
@@ -109,12 +114,16 @@ def evaluate_logs(
         (align(rest, own), align(held, own))
         for (rest, held), own in zip(split, delays, strict=True)
     ]
-    members = _train(parts, settings, vehicle, report)
-    paper = _train(parts, dataclasses.replace(settings, mean="constant"), vehicle, report)
-    return [
-        _outcome(number, (logs[number], delays[number]), members, paper[number], settings)
-        for number in range(len(logs))
-    ]
+    fitting = (displays or Displays()).fitting
+    with fitting() as report:
+        members = _train(parts, settings, vehicle, report)
+    with fitting() as report:
+        paper = _train(parts, dataclasses.replace(settings, mean="constant"), vehicle, report)
+    with comparing():
+        return [
+            _outcome(number, (logs[number], delays[number]), members, paper[number], settings)
+            for number in range(len(logs))
+        ]
 
 
 def _train(

@@ -84,10 +84,10 @@ class Mpc:
         operating: Array,
         slip: float,
     ) -> tuple[Array, Array]:
-        """Plan ``(T+1, 7)`` and scaled inputs ``(T, 2)``.
+        """Plan `(T+1, 7)` and scaled inputs `(T, 2)`.
 
-        Dynamics are ``A (T, 7, 7)``, ``B (T, 7, 2)`` for scaled inputs and ``c (T, 7)`` along the
-        operating states ``(T+1, 7)``, `slip` the largest slip angle of the front tyres, rad.
+        Dynamics are `A (T, 7, 7)`, `B (T, 7, 2)` for scaled inputs and `c (T, 7)` along the
+        operating states `(T+1, 7)`, `slip` the largest slip angle of the front tyres, rad.
 
         Raises:
             EgpError: if OSQP finds no plan.

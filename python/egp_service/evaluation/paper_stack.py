@@ -81,7 +81,7 @@ class ExactGP(gpytorch.models.ExactGP):  # type: ignore[misc]
         )
 
     def forward(self, x: torch.Tensor) -> Any:  # noqa: ANN401
-        """Prior at ``x``."""
+        """Prior at `x`."""
         return gpytorch.distributions.MultivariateNormal(self.mean_module(x), self.covar_module(x))
 
 
@@ -142,7 +142,7 @@ class Member:
         )
 
     def mean(self, z: Array) -> Array:
-        """Mean at ``z`` (n, 6): (n, 3)."""
+        """Mean at `z` (n, 6): (n, 3)."""
         with torch.no_grad(), gpytorch.settings.skip_posterior_variances():
             return np.asarray(self._means(torch.from_numpy(z), range(NY)).T)
 
@@ -193,7 +193,7 @@ class Weights:
         self.problem = cp.Problem(cp.Minimize(objective), [self.w >= 0, cp.sum(self.w) == 1])
 
     def solve(self, f: Array, y: Array, previous: Array) -> Array:
-        """Return the weights for predictions ``f (K*3, N)`` and measurements ``y (K*3,)``."""
+        """Return the weights for predictions `f (K*3, N)` and measurements `y (K*3,)`."""
         self.f.value, self.y.value, self.previous.value = f, y, previous
         self.problem.solve(solver=cp.OSQP, warm_start=True)
         return np.asarray(self.w.value)
@@ -273,7 +273,7 @@ class PaperStack:
         return x, u
 
     def _linearise(self, x: Array, u: Array, w: Array) -> tuple[Array, Array, Array]:
-        """Blend the tangents, eqs. (15)-(17), for scaled inputs; positions follow ``yaw_at``."""
+        """Blend the tangents, eqs. (15)-(17), for scaled inputs; positions follow `yaw_at`."""
         z = gp_input(x[:-1], u)
         parts = [member.mean_jacobian(z) for member in self.members]
         mean = sum(wn * m for wn, (m, _) in zip(w, parts, strict=True))

@@ -55,11 +55,13 @@ class Group:
     lateral_rms: Interval
     """Median over all runs, m (bootstrap)."""
     lateral_max: Interval
+    """Median of the runs' largest lateral errors, m."""
     speed_rms: Interval
+    """Median of the runs' RMS errors of the speed, m/s."""
     time: Interval
     """Median duration of the completed runs, s; NaN without one."""
     off_track: Interval
-    """Mean, s."""
+    """Mean time with a side of the vehicle beyond the edge of the track, s."""
     settling: Interval
     """Median over the runs of a run's median over its friction changes under excitation, s; NaN
     without such a change."""

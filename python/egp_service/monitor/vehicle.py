@@ -77,7 +77,7 @@ class VehicleRecord:
             self.sampled += 1
 
     def wants_road(self, now: float) -> bool:
-        """Whether the road is to be asked for now; a vehicle may have none to tell."""
+        """Whether the road is to be asked for now; a vehicle need not publish one."""
         due = self.road is None and self._road_asked < _ROAD_ATTEMPTS and now >= self._road_next
         if due:
             self._road_asked += 1

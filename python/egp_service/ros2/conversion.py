@@ -32,7 +32,7 @@ class Command:
     steering_angle: float
     """Angle of the front wheels at the end of the period, rad, positive to the left."""
     steering_rate: float
-    """rad/s."""
+    """Steering rate in the period, rad/s, positive to the left."""
     speed: float
     """Speed at the end of the period, m/s; 0 in a stop."""
     acceleration: float

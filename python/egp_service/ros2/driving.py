@@ -75,7 +75,7 @@ class Drive:
     grip: float = 0.8
     """Used part of that friction."""
     v_max: float = 10.0
-    """m/s."""
+    """Largest planned speed, m/s."""
     silence: float = 0.2
     """Time without odometry, or reports of `steering`, after which the vehicle is stopped, s; at
     most 2."""

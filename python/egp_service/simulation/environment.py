@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 Observation = np.ndarray[tuple[int], np.dtype[np.float64]]
 
+_NAME: Final = "egp/Track-v0"  # of the environment, for `gymnasium.make`
+
 # m, where a full-size vehicle observes the curvature
 _AHEAD: Final = np.array([0.0, 5.0, 10.0, 20.0, 40.0])
 _PATIENCE: Final = 4.0  # times of the planned lap, after which an episode ends
@@ -53,6 +55,15 @@ class TrackEnvironment(gym.Env[Observation, Observation]):
     concerns the controller of a closed loop has no effect here: `control`, `gate`, and in `speed`
     the keys `knows`, `risk`, `friction` and `preview` (docs/simulator.md). `library` has an effect
     only with `speed.tyres = true`, where the speed at the start depends on the members' tyres.
+
+    Gymnasium makes it by its name, too, also several at once, and imports this module for it:
+
+    >>> import gymnasium
+    >>> name = "egp_service.simulation.environment:egp/Track-v0"
+    >>> environments = gymnasium.make_vec(name, num_envs=2, scenario="random", dt=0.02)
+    >>> observations, _ = environments.reset(seed=3)
+    >>> observations.shape
+    (2, 11)
     """
 
     def __init__(
@@ -172,3 +183,6 @@ class TrackEnvironment(gym.Env[Observation, Observation]):
         motion = measured[[V_X, V_Y, OMEGA, DELTA]]
         observation = np.array([seen.lateral, heading, *motion, *curvature])
         return observation, {"x": x, "s": self._s, "friction": projection.friction}
+
+
+gym.register(_NAME, f"{__name__}:{TrackEnvironment.__name__}")

@@ -12,5 +12,10 @@ if TYPE_CHECKING:
 
 
 def in_process_controller(scenario: Scenario) -> Controller:
-    """Compute the steps in this process."""
+    """Return a controller with library, settings and gate of the scenario.
+
+    Raises:
+        EgpError: as `Controller`, if library, settings or gate cannot be used.
+
+    """
     return Controller(library_path(scenario), scenario.control, gate=gate_settings(scenario))

@@ -62,11 +62,9 @@ FRICTION_POINTS = LinearSegmentedColormap.from_list("points", ["#3b8fc4", "#6a99
 
 
 def check_picture(path: FilePath) -> None:
-    """Raise `EgpError` unless a picture can get this name: by its ending, and in its folder."""
+    """Raise `EgpError` unless a picture can have this name, which tells its format."""
     if path.is_dir():
         raise EgpError(f"{path} is a folder: name a picture in it, such as {path / 'picture.png'}")
-    if not path.parent.is_dir():
-        raise EgpError(f"{path}: there is no folder {path.parent}; make it, or choose another one")
     known = FigureCanvasBase.get_supported_filetypes()
     if path.suffix.removeprefix(".").lower() not in known:
         raise EgpError(

@@ -6,7 +6,7 @@ import json
 from datetime import datetime
 from typing import TYPE_CHECKING
 
-from egp_service.files import write_text
+from egp_service.files import make_folder, write_text
 from egp_service.simulation.closed_loop import Run, drive
 from egp_service.simulation.layouts import write_layouts
 from egp_service.simulation.recording import recording
@@ -29,7 +29,7 @@ def new_folder(root: Path, name: str) -> Path:
             link that leads nowhere.
 
     """
-    root.mkdir(parents=True, exist_ok=True)
+    make_folder(root)
     stamp = datetime.now().astimezone().strftime("%Y%m%d-%H%M%S")
     for count in range(1, 1000):
         folder = root / (f"{stamp}-{name}" if count == 1 else f"{stamp}-{name}-{count}")

@@ -120,11 +120,17 @@ class Measurement:
     """Standard deviations of the measurement noise; zero by default."""
 
     position: float = 0.0
+    """Of `p_x` and `p_y`, m."""
     v_x: float = 0.0
+    """Of the speed, m/s."""
     psi: float = 0.0
+    """Of the yaw, rad."""
     v_y: float = 0.0
+    """Of the lateral speed, m/s."""
     omega: float = 0.0
+    """Of the yaw rate, rad/s."""
     delta: float = 0.0
+    """Of the steering angle, rad."""
 
 
 @dataclass(frozen=True, slots=True)

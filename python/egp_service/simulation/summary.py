@@ -33,6 +33,7 @@ class Ending:
     reason: str
     """"completed", or the cause of an early end."""
     time: float
+    """Time since the start, s."""
     distance: float
     """Distance along the path from the start, m."""
     position: tuple[float, float]
@@ -101,20 +102,26 @@ class Summary:
     members: tuple[str, ...]
     ending: Ending
     periods: int
+    """Number of control periods."""
     dt: float
+    """Control period, s."""
     lateral_error: Error
     """Distance from the path, m."""
     speed_error: Error
     """Difference from the reference speed, m/s."""
     mean_speed: float
+    """Mean of `v_x` over the periods, m/s."""
     step_time_ms: dict[str, float] = field(compare=False)
     """Percentiles of the time from request to command: p50, p90, p99, max."""
     deadline_misses: int
     """Number of periods in which no answer came before the deadline, which is 0.8 `dt` by default;
     none in this process, where a step may take any time."""
     tail_ticks: int
+    """Number of periods in the mode `tail`."""
     stop_ticks: int
+    """Number of periods in the mode `stop`."""
     solver_statuses: dict[str, int]
+    """Number of periods with each status of the step."""
     no_plan_reasons: dict[str, int]
     """Why periods had no plan, the ten most frequent reasons with their numbers of periods."""
     friction: FrictionFound | None = None

@@ -57,14 +57,23 @@ class Trace(EqualByValue):
     """A run of n periods as columns. Two are equal if all columns but `step_time` are."""
 
     time: NDArray[np.float64]
+    """Time since the start (n,), s."""
     x: NDArray[np.float64]
+    """True states (n, 7), `[p_x, p_y, v_x, psi, v_y, omega, delta]` in SI units and rad."""
     u: NDArray[np.float64]
+    """Commands of the gate (n, 2), force in N and steering rate in rad/s."""
     friction: NDArray[np.float64]
+    """True friction coefficient under the vehicle (n,)."""
     distance: NDArray[np.float64]
+    """Distance along the path since the start (n,), m."""
     lateral_error: NDArray[np.float64]
+    """Distance from the path (n,), m, positive to its left."""
     heading_error: NDArray[np.float64]
+    """Yaw relative to the path's direction (n,), rad."""
     speed_error: NDArray[np.float64]
+    """Speed less the reference speed (n,), m/s."""
     friction_planned: NDArray[np.float64]
+    """Friction coefficient for which the reference speed here is planned (n,)."""
     friction_found: NDArray[np.float64]
     """(n, 2), 90 % interval of the friction that the last transitions indicate; NaN without a
     reply."""
@@ -76,7 +85,9 @@ class Trace(EqualByValue):
     step_time: NDArray[np.float64] = field(compare=False)
     """Time from the request of a step to its command, s."""
     mode: NDArray[np.str_]
+    """`Step.mode` (n,)."""
     status: NDArray[np.str_]
+    """`Step.status` (n,)."""
     detail: NDArray[np.str_]
     """Why there is no plan, or why the vehicle counts as lost; empty otherwise."""
 

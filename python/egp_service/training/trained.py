@@ -83,7 +83,7 @@ class TrainedMember:
     """The fitted single-track vehicle with intervals of its parameters, if one was fitted."""
 
     delays: Delays | None = None
-    """By what the inputs of a log were moved before training; None for simulated data."""
+    """Delays by which the inputs of a log were moved before training; None for simulated data."""
     kind: str = ""
     """The kind that was chosen among those of `choice.KINDS`, if there was a choice."""
     likelihoods: Mapping[str, float] = dataclasses.field(default_factory=dict)

@@ -18,8 +18,13 @@ _LABEL: Final = (255, 255, 255)
 
 
 def log_scene(recording: rr.RecordingStream, scene: Message, frames: dict[str, str]) -> None:
-    """Log the entities of a `foxglove.SceneUpdate`; `frames` gives the path of each frame."""
+    """Log the entities of a `foxglove.SceneUpdate`; `frames` gives the path of each frame.
+
+    Entities of other frames, whose place in the scene is not known, are left out.
+    """
     for entity in scene.entities:
+        if entity.frame_id not in frames:
+            continue
         path = f"{frames[entity.frame_id]}/{entity.id}"
         for i, surface in enumerate(entity.triangles):
             mesh = rr.Mesh3D(

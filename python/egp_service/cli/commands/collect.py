@@ -152,7 +152,6 @@ def collect(
     _check_name(output)
     if vehicle is None:
         vehicle = _UNNAMED if from_log else _VEHICLE
-    stated_mass.check_unit(mass, vehicle, is_file=_is_file(vehicle))
     check_outputs([*(from_log or []), Path(vehicle)], output, picture)
     _check_picture(picture)
     of_simulation = {
@@ -177,13 +176,14 @@ def collect(
         check_unused(of_simulation, reason)
     else:
         check_unused(of_log, "can be given for logs only: name the log with --from-log")
+    stated_mass.check_unit(mass, vehicle, is_file=_is_file(vehicle))
     road = parse_surface(friction)
     mu = surface_friction(road)
     label = surface or (road if isinstance(road, str) else f"mu {road:g}")
     if from_log:
         provenance = Provenance(dt, vehicle, label, mu, seed, "", tool())
         columns = _once("--column", map(_column, column or []))
-        _make_writable(output, picture)
+        check_writable(output, picture)
         dataset = _import(
             console,
             from_log,
@@ -200,7 +200,7 @@ def collect(
             settings = CollectionSettings(tuple(track), runs, samples)
         disturbances = _once("--disturbance", map(_disturbance, disturbance or []))
         experiment = _experiment(plant, vehicle, road, label, seed, dt, disturbances)
-        _make_writable(output, picture)
+        check_writable(output, picture)
         with collecting(console) as report:
             dataset = collect_dataset(
                 experiment,
@@ -227,7 +227,7 @@ def _experiment(
     from egp_service._core import EgpError, surface_friction
     from egp_service.data.experiment import Experiment, OwnExperiment
     from egp_service.simulation.one_surface import OneSurface
-    from egp_service.vehicle import read_vehicle
+    from egp_service.vehicle import check_own_name, read_vehicle
 
     if plant is None:
         if not vehicle.isdecimal():
@@ -242,6 +242,7 @@ def _experiment(
             f"--plant {plant} needs the mass, axles and limits of its car: name the TOML file that "
             "describes it with --vehicle FILE.toml; `egp train --help` lists its lines"
         )
+    check_own_name(Path(vehicle).stem)
     return OwnExperiment(
         surface_friction(road),
         label,
@@ -269,17 +270,10 @@ def _is_file(vehicle: str) -> bool:
     return vehicle.endswith(".toml")
 
 
-def _make_writable(output: Path, picture: Path | None) -> None:
-    """Find files that cannot be written before the minutes that a collection or a log takes."""
-    output.parent.mkdir(parents=True, exist_ok=True)
-    check_writable(output, picture)
-
-
 def _check_picture(picture: Path | None) -> None:
     if picture is not None:
         from egp_service.simulation.report import check_picture
 
-        picture.parent.mkdir(parents=True, exist_ok=True)
         check_picture(picture)
 
 
@@ -300,7 +294,7 @@ def _import(
     from egp_service.data import stated_mass
     from egp_service.data.dataset import merge
     from egp_service.data.log_import import import_log
-    from egp_service.vehicle import read_vehicle
+    from egp_service.vehicle import check_own_name, read_vehicle
 
     wheelbase = front_share = None
     if _is_file(provenance.vehicle):
@@ -320,6 +314,7 @@ def _import(
             "--accelerometer needs the distances of the axles: name the vehicle's file with "
             "--vehicle FILE.toml"
         )
+    check_own_name(provenance.vehicle)
     parts = []
     for log in logs:
         name = log.name or log.absolute().name  # of the folder in which the command runs

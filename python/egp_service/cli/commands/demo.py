@@ -32,10 +32,11 @@ def demo(
     laps before found. Then the same lap is driven with a reference speed that
     is planned for the true friction of all zones: with the library's ensemble,
     and with each of its two members alone. A service in its own process
-    computes every control step.
+    computes every control step. The exit status is 3 if a lap was not completed.
 
     For example: egp demo
     """
+    from egp_service.cli.commands.drive import NOT_COMPLETED
     from egp_service.cli.demo import LAPS, drive_laps
     from egp_service.cli.signals import naming_folder
     from egp_service.cli.status_line import StatusLine
@@ -64,6 +65,8 @@ def demo(
         f"Took {time.perf_counter() - start:.0f} s. Look at:",
         *(f"  {path}" for path in pictures),
     )
+    if not all(lap.run.summary.ending.completed for lap in laps):
+        raise typer.Exit(NOT_COMPLETED)
 
 
 def _trained(folder: Path) -> Path:

@@ -154,7 +154,6 @@ def drive(
         if connect or (zenoh and not in_process):
             _show_differences(console, chosen, controller)
         if road is not None:
-            road.absolute().parent.mkdir(parents=True, exist_ok=True)
             check_writable(road)
         folder = new_folder(output, chosen.name)
         try:
@@ -252,7 +251,7 @@ def _controller(
         for option, value in (("--key", key), ("--traces", traces)):
             if value is not None:
                 where = "with --in-process" if in_process else "without --connect or --zenoh"
-                raise typer.BadParameter(f"{option} has no use {where}")
+                raise EgpError(f"{option} has no use {where}")
     controller: StepController
     with ExitStack() as stack:
         try:
@@ -282,16 +281,14 @@ def _check_use(
     in_process: bool,
 ) -> None:
     """Check that the car's name and the configuration of zenoh are used."""
+    from egp_service._core import EgpError
+
     if in_process and connect is not None:
-        raise typer.BadParameter("--in-process excludes --connect")
+        raise EgpError("--in-process excludes --connect")
     if in_process and zenoh is not None and not (fleet or monitor):
-        raise typer.BadParameter(
-            "--zenoh has no use with --in-process unless --fleet or --monitor is given"
-        )
+        raise EgpError("--zenoh has no use with --in-process unless --fleet or --monitor is given")
     if vehicle is not None and not any((connect, zenoh, fleet, monitor)):
-        raise typer.BadParameter(
-            "--vehicle has no use without --connect, --zenoh, --fleet or --monitor"
-        )
+        raise EgpError("--vehicle has no use without --connect, --zenoh, --fleet or --monitor")
 
 
 def _show_differences(console: Console, scenario: "Scenario", controller: "StepController") -> None:
@@ -323,6 +320,7 @@ def _fleet_map(
     zenoh: Path | None,
 ) -> "Iterator[Callable[[], None]]":
     """Give what to call in each period, and say at the end what the map contributed."""
+    from egp_service._core import EgpError
     from egp_service.simulation.course import road_name
     from egp_service.simulation.scenario_checks import ScenarioError, why_unused
 
@@ -330,7 +328,7 @@ def _fleet_map(
         yield lambda: None
         return
     if vehicle is None:
-        raise typer.BadParameter("--fleet needs the car's name: give --vehicle")
+        raise EgpError("--fleet needs the car's name: give --vehicle")
     if reason := why_unused(scenario.speed):
         raise ScenarioError(f"{scenario.name}: --fleet has no effect while {reason}")
     from egp_service.cli.tables import map_summary

@@ -93,8 +93,9 @@ def evaluate(
     --library, whose first members have the frictions 0.5, 0.6, 0.9 and 1.1. Runs
     are kept by the simulator's name: choose another --output after changing it.
 
-    The same command resumes an interrupted evaluation. Requires the extras train
-    and viz; with the extra paper, step-times includes the paper's stack.
+    The same command resumes an interrupted evaluation. The exit status is 3 if
+    no run completed. Requires the extras train and viz; with the extra paper,
+    step-times includes the paper's stack.
 
     For example:
       egp evaluate --quick
@@ -225,6 +226,8 @@ def _write(
     import shlex
     import sys
 
+    from egp_service.cli.commands.drive import NOT_COMPLETED
+    from egp_service.cli.progress import counted
     from egp_service.cli.tables import headline_table
     from egp_service.evaluation.experiments import HIDDEN_ICE, OBSTACLE_AVOIDANCE
     from egp_service.evaluation.summary_report import HEADLINE, headline, why_lost, write_report
@@ -232,8 +235,10 @@ def _write(
     timed = "step-times" in selection.chosen
     times = _step_times(console, source, plant, output, full=selection.full) if timed else []
     ice = results.get(HIDDEN_ICE.name, [])
+    shown = [e for e in selection.driven if e.name in _SHOWN]
+    with counted(console, "driving the runs of the pictures", "runs") as driven_so_far:
+        drives = campaign.drives(shown, driven_so_far, jobs=jobs, cluster=cluster)
     with console.status("Drawing ..."):
-        shown = [e for e in selection.driven if e.name in _SHOWN]
         seeds = results.get("predictions", [])
         report = write_report(
             output,
@@ -245,11 +250,14 @@ def _write(
             speeds=results.get(OBSTACLE_AVOIDANCE.name, []),
             ice=ice,
             times=times,
-            drives=campaign.drives(shown, jobs=jobs, cluster=cluster),
+            drives=drives,
         )
     if rows := headline(results["runs"]):
         console.print(headline_table(HEADLINE, rows))
-    say(console, *why_lost([*results["runs"], *ice]), f"Look at {report}")
+    driven = [*results["runs"], *ice]
+    say(console, *why_lost(driven), f"Look at {report}")
+    if driven and not any(outcome.completed for outcome in driven):
+        raise typer.Exit(NOT_COMPLETED)
 
 
 def _check_options(

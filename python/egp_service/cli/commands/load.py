@@ -50,7 +50,7 @@ def load(
     from tempfile import TemporaryFile
 
     from egp_service._core import EgpError
-    from egp_service.cli.options import check_outputs, recording_file
+    from egp_service.cli.options import check_outputs, check_writable, recording_file
     from egp_service.control.recorded import read_recording, write_requests
 
     arguments = list(context.args)
@@ -64,6 +64,7 @@ def load(
                 "--ramp 0.99 for rising rates"
             )
         check_picture(figure)
+        check_writable(figure)
         report = report or figure.with_suffix(".json")
     if replay is not None:
         replay = recording_file(replay)

@@ -60,7 +60,7 @@ def keep_map(
       egp drive -s random --fleet tcp/127.0.0.1:7448 --vehicle car-1
       egp drive -s random --fleet tcp/127.0.0.1:7448 --vehicle car-2    (faster)
     """
-    from egp_service._core import check_map, serve_map
+    from egp_service._core import EgpError, check_map, serve_map
     from egp_service.cli.settings_file import naming, read_map
     from egp_service.control.toml_text import dumps
     from egp_service.zenoh_threads import use_for_service
@@ -74,14 +74,14 @@ def keep_map(
     }
     given = {name: value for name, value in options.items() if value is not None}
     if config is not None and (given or listen):
-        raise typer.BadParameter("--config excludes other options: put them into the file")
+        raise EgpError("--config excludes other options: put them into the file")
     if config is None and not check:
         check_free(listen or [MAP_ENDPOINT], MAP_PORT)
     if listen:
         given["zenoh"] = {"listen/endpoints": json.dumps(listen)}
+    if config is not None:
+        given = read_map(config)
     with naming(config):
-        if config is not None:
-            given = read_map(config)
         if not check:
             use_for_service(dumps(given), given.get("zenoh_file"))
             serve_map(dumps(given))

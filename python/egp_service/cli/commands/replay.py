@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
-from egp_service.cli.options import Recording, check_unused, recording_file
+from egp_service.cli.options import Recording, check_unused, check_writable, recording_file
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -59,8 +59,8 @@ def replay(
         check_unused({"--output": output}, reason)
     recording = recording_file(recording)
     target = output or _default_picture(recording, library, settings)
-    if output is not None:
-        _check_output(output, recording)
+    if pictures:
+        _check_picture(target, recording)
     console = Console(soft_wrap=True, markup=False)
     recorded = read_recording(recording)
     console.print(replay_text.heading(recording, recorded))
@@ -76,7 +76,6 @@ def replay(
             console.print("No picture: nothing differs.")
         return
     if pictures:
-        target.parent.mkdir(parents=True, exist_ok=True)
         given = {"library": library, "settings": settings}
         words = [f"{name} {file.name}" for name, file in given.items() if file is not None]
         with console.status("Drawing ..."):
@@ -94,18 +93,19 @@ def _default_picture(recording: Path, library: Path | None, settings: Path | Non
     return recording.with_name("-".join([recording.stem, "replay", *changes]) + ".png")
 
 
-def _check_output(output: Path, recording: Path) -> None:
-    """Errors unless a picture may have this name; this makes no folder.
+def _check_picture(output: Path, recording: Path) -> None:
+    """Errors unless a picture can be drawn and may have this name; this makes no folder.
 
     It is checked before the time that the replay takes.
     """
     from egp_service._core import EgpError
     from egp_service.simulation.report import PICTURES, check_picture
 
+    check_picture(output)
     folder = output.parent
     while not folder.exists():
         folder = folder.parent
-    check_picture(folder / output.name)
+    check_writable(folder / output.name)
     if output.name in PICTURES and output.resolve().parent == recording.resolve().parent:
         raise EgpError(f"{output} is a picture of the recorded run: choose another --output")
 

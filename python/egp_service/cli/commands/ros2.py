@@ -134,6 +134,7 @@ def ros2(
         topics["--steering"] = steering
     commands = {"--ackermann": ackermann, "--control": control}
     _check_topics(topics | {option: topic for option, topic in commands.items() if topic})
+    _check_controller(settings, name, key, in_process=connect is None and service_zenoh is None)
     car = loaded.parameters if vehicle is None else read_vehicle(vehicle)
     drive = Drive(
         vehicle=car,
@@ -202,6 +203,20 @@ def _check_topics(topics: "Mapping[str, str]") -> None:
             )
 
 
+def _check_controller(
+    settings: Path | None, name: str | None, key: Path | None, *, in_process: bool
+) -> None:
+    """Check that the options of the controller are used."""
+    from egp_service.cli.options import check_unused
+
+    if in_process:
+        reason = "can be given with --connect or --service-zenoh only"
+        check_unused({"--name": name, "--key": key}, reason)
+    else:
+        reason = "belongs to the service: egp serve --settings"
+        check_unused({"--settings": settings}, reason)
+
+
 def _controller(
     library: Path,
     settings: Path | None,
@@ -211,17 +226,12 @@ def _controller(
     key: Path | None,
     zenoh: Path | None,
 ) -> "StepController":
-    from egp_service.cli.options import check_unused
     from egp_service.cli.settings_file import read_settings
     from egp_service.control.controller import Controller
 
     if connect is None and zenoh is None:
-        reason = "can be given with --connect or --service-zenoh only"
-        check_unused({"--name": name, "--key": key}, reason)
         stated = {} if settings is None else read_settings(settings)
         return Controller(library, stated, gate=car.gate_limits())
-    if settings is not None:
-        raise typer.BadParameter("--settings belongs to the service: egp serve --settings")
     from egp_service.cli.backends import connected
 
     return connected(connect, car.gate_limits(), name, zenoh_file=zenoh, key_file=key)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 from rich.console import Console
 
-from egp_service.cli.options import Cluster, check_outputs, check_unused, check_writable
+from egp_service.cli.options import Cluster, Jobs, check_outputs, check_unused, check_writable
 from egp_service.cli.output import say
 from egp_service.training.kernel import KernelName
 
@@ -50,6 +50,7 @@ def train(
         float, typer.Option(help="Share of the trajectories for validation, between 0 and 1.")
     ] = _VALIDATION,
     seed: Annotated[int, typer.Option(min=0, help="Seed of split, selection and starts.")] = 0,
+    jobs: Jobs = None,
     cluster: Cluster = None,
     picture: Annotated[
         Path | None, typer.Option(help="File for a figure of the validation matrix.")
@@ -120,8 +121,8 @@ def train(
     car = None if vehicle is None else read_vehicle(vehicle)
     if (recipe is None) == (not data):
         raise EgpError("expected either datasets or --recipe")
-    if cluster is not None and recipe is None:
-        raise EgpError("--cluster needs a --recipe, whose data the cluster collects")
+    if (cluster or jobs) and recipe is None:
+        raise EgpError("--jobs and --cluster need a --recipe, whose data are collected in parallel")
     if recipe is not None:
         stated = {
             "--vehicle": vehicle,
@@ -142,7 +143,7 @@ def train(
         plan = Recipe.read(recipe)
         settings = plan.training
         displays = Displays(lambda: collecting(console), lambda: fitting(console))
-        _, members = follow(plan, cluster=cluster, displays=displays)
+        _, members = follow(plan, jobs=jobs, cluster=cluster, displays=displays)
     else:
         settings = _settings(kernel, mean, max_points, restarts, validation, seed)
         datasets = [Dataset.read(path) for path in data or []]

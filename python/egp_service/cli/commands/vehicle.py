@@ -86,7 +86,6 @@ def fit(
                 f"{output} exists: state -o {output} to replace it, or the name of another file"
             )
     check_outputs([*data, known], output)
-    output.parent.mkdir(parents=True, exist_ok=True)
     check_writable(output)
     surfaces: dict[str, list[Dataset]] = {}
     for path in data:
