@@ -8,6 +8,7 @@ import tomllib
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
+from unittest.mock import Mock
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -212,6 +213,20 @@ def test_a_replay_without_a_difference_draws_nothing_and_says_so(
     assert "No picture: nothing differs." in result.output
     assert not picture.parent.exists()
     assert "replaying" in result.output  # as a terminal shows it
+
+
+def test_a_picture_that_cannot_be_drawn_is_an_error_before_the_replay(
+    first_tenth: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording, settings = tmp_path / "run.mcap", tmp_path / "softer.toml"
+    recording.write_bytes(first_tenth.read_bytes())
+    settings.write_text("cost.lateral = 20.0", encoding="utf-8")
+    (tmp_path / "run-replay-softer.png").mkdir()
+    replayed = Mock()
+    monkeypatch.setattr("egp_service.control.replay.replay", replayed)
+    result = CliRunner().invoke(app, ["replay", str(recording), "--settings", str(settings)])
+    assert "run-replay-softer.png is a folder" in str(result.exception)
+    replayed.assert_not_called()
 
 
 @pytest.fixture(scope="module")

@@ -323,6 +323,17 @@ def test_a_mass_that_contradicts_the_file_of_the_car_is_an_error(tmp_path: Path)
         assert result.exit_code == 0, result.output
 
 
+@pytest.mark.parametrize("vehicle", ["commonroad-1", "commonroad-own.toml"])
+def test_a_car_of_ones_own_has_no_name_of_a_simulated_one(tmp_path: Path, vehicle: str) -> None:
+    log = options(tmp_path / "log.csv", plant_log())
+    if vehicle.endswith(".toml"):
+        vehicle = str(tmp_path / vehicle)
+        Path(vehicle).write_text(dumps(known_vehicle("commonroad-1").fields()))
+    command = ["collect", *log, "--vehicle", vehicle, "-o", str(tmp_path / "data.parquet")]
+    result = CliRunner().invoke(app, command)
+    assert "begin with commonroad- are those of the simulated cars" in str(result.exception)
+
+
 def test_a_file_that_describes_no_car_is_not_its_name(tmp_path: Path) -> None:
     car = tmp_path / "own.parquet"
     surface().write(car)

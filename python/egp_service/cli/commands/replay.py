@@ -59,7 +59,9 @@ def replay(
         check_unused({"--output": output}, reason)
     recording = recording_file(recording)
     target = output or _default_picture(recording, library, settings)
-    if pictures:
+    changed = settings is not None or library is not None
+    # Without a change nothing should differ, so that a recording may lie where nothing is written.
+    if pictures and (changed or output is not None):
         _check_picture(target, recording)
     console = Console(soft_wrap=True, markup=False)
     recorded = read_recording(recording)
@@ -68,7 +70,6 @@ def replay(
     used = _settings(recorded, settings, other_library=library is not None)
     with counted(console, "replaying", "steps") as report:
         result = compute(recorded, file, used, report)
-    changed = settings is not None or library is not None
     for line in replay_text.outcome(recorded, result, used, changed=changed):
         console.print(line)
     if result.first_different is None:
