@@ -15,7 +15,8 @@ use crate::{Arguments, Failure};
 const LOST: f64 = 10.0;
 
 /// What to do about a service that answers only vehicles with keys.
-const WITHOUT_KEY: &str = "\nState the file of the keys of load/car-0 and so on with --key (`egp keys` makes it)";
+const WITHOUT_KEY: &str =
+    "\nState the file of the keys of load/car-0 and so on with --key (`egp keys` makes it)";
 
 /// What to do about a service that plans for another vehicle than the plant.
 const OTHER_VEHICLE: &str = "\nThe simulated vehicles are the built-in car. If the library is that of another vehicle, send \
