@@ -138,7 +138,7 @@ mod tests {
         assert_eq!(period(&both, &[request(2)]), Ok(0.05));
         // The description of a replica states nothing about the libraries that it serves beside its own.
         assert_eq!(
-            period(&[old.clone()], &[request(2)]),
+            period(std::slice::from_ref(&old), &[request(2)]),
             Err(UnfitRecording::Undescribed)
         );
         assert_eq!(
