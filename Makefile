@@ -118,7 +118,7 @@ PROFILE_bench := dist
 
 # One marker per set of extras; a change to Rust or to the package's metadata rebuilds the extension. The crates are
 # compiled while uv installs the packages; maturin then finds both done. Where uv cannot reach the index, pip tries with
-# its own configuration.
+# its own configuration. Markers of another profile are removed, because this extension replaces theirs.
 .venv/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 		{ echo "Python 3.11 or newer is needed, found $$($(PYTHON) --version). Try: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 1; }
@@ -133,4 +133,5 @@ PROFILE_bench := dist
 	$$build --quiet --skip-install & \
 	uv pip install --requirement pyproject.toml $(patsubst %,--extra %,$(subst $(COMMA), ,$(EXTRAS_$*))); \
 	wait; $$build --extras $(EXTRAS_$*) --uv || $$build --extras $(EXTRAS_$*)
+	@rm -f $(if $(PROFILE_$*),.venv/built-*,.venv/built-bench)
 	@touch $@

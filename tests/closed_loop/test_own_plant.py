@@ -19,9 +19,9 @@ from typer.testing import CliRunner
 
 from egp_service._core import VehicleParameters
 from egp_service.cli import app, evaluation_parts
-from egp_service.cli.commands.drive import NOT_COMPLETED
 from egp_service.cli.commands.evaluate import _campaign, _on_plant
 from egp_service.cli.evaluation_parts import Selection
+from egp_service.cli.options import NOT_COMPLETED
 from egp_service.evaluation import experiments
 from egp_service.evaluation.batch import finish
 from egp_service.evaluation.campaign import Campaign, Outcome

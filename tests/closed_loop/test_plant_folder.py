@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from egp_service.cli import app
-from egp_service.cli.commands.drive import NOT_COMPLETED
+from egp_service.cli.options import NOT_COMPLETED
 from egp_service.simulation.plant import PlantError, load_simulator
 from egp_service.simulation.scenario import load_scenario, parse_scenario
 from egp_service.simulation.scenario_checks import ScenarioError

@@ -20,7 +20,7 @@ from typer.testing import CliRunner
 
 from egp_service._core import EgpError
 from egp_service.cli import app, signals
-from egp_service.cli.commands.drive import NOT_COMPLETED
+from egp_service.cli.options import NOT_COMPLETED
 from egp_service.cli.status_line import MODE_STYLES
 from egp_service.control.endpoints import free_endpoint, free_port, why_unreachable
 from egp_service.control.service_process import ServiceProcess

@@ -24,7 +24,7 @@ import page_inputs
 import pytest
 
 from egp_service import shipped
-from egp_service.cli.commands.drive import NOT_COMPLETED
+from egp_service.cli.options import NOT_COMPLETED
 from egp_service.control.endpoints import free_port
 from patience import ATTEMPTS
 

@@ -44,8 +44,8 @@ pub(crate) enum UnfitRecording {
 /// of the replica's own library only.
 ///
 /// # Errors
-/// [`UnfitRecording`] if a replica does not serve a library of the recording or answers only sealed requests, no replica describes one, or their periods
-/// differ.
+/// [`UnfitRecording`] if a replica does not serve a library of the recording or answers only sealed requests, no replica
+/// describes one, or their periods differ.
 pub(crate) fn period(
     replicas: &[(Name, Ready)],
     recorded: &[Request],

@@ -3,7 +3,7 @@
 
 use std::fs;
 use std::path::Path;
-use std::process::Command;
+use std::process::{Command, Output};
 use std::time::Duration;
 
 use egp_service::{Server, ServiceConfig};
@@ -25,6 +25,15 @@ fn serve(change: impl FnOnce(&mut ServiceConfig)) -> (Server, String) {
         .insert("listen/endpoints".to_owned(), format!("[\"{endpoint}\"]"));
     change(&mut config);
     (Server::start(&config).unwrap(), endpoint)
+}
+
+/// Loads a service with one vehicle and these further options.
+fn load(endpoint: &str, options: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_egp-load"))
+        .args(["--connect", endpoint, "--vehicles", "1"])
+        .args(options)
+        .output()
+        .unwrap()
 }
 
 #[test]
@@ -82,10 +91,7 @@ fn every_due_request_is_accounted_for() {
 #[test]
 fn a_service_for_another_vehicle_is_told_from_one_that_is_not_there() {
     let (server, endpoint) = serve(|config| config.settings.mass = Some(1284.0));
-    let output = Command::new(env!("CARGO_BIN_EXE_egp-load"))
-        .args(["--connect", &endpoint, "--vehicles", "1"])
-        .output()
-        .unwrap();
+    let output = load(&endpoint, &[]);
     let told = String::from_utf8(output.stderr).unwrap();
     assert!(told.contains("has 1284 kg"), "{told}");
     assert!(told.contains("egp load --replay run.mcap"), "{told}");
@@ -98,10 +104,7 @@ fn a_service_that_needs_keys_is_told_from_one_that_is_not_there() {
     let keys = Path::new(env!("CARGO_TARGET_TMPDIR")).join("load.keys");
     fs::write(&keys, format!("load/car-0 {}\n", "a1".repeat(32))).unwrap();
     let (server, endpoint) = serve(|config| config.vehicle_keys = Some(keys));
-    let output = Command::new(env!("CARGO_BIN_EXE_egp-load"))
-        .args(["--connect", &endpoint, "--vehicles", "1"])
-        .output()
-        .unwrap();
+    let output = load(&endpoint, &[]);
     let told = String::from_utf8(output.stderr).unwrap();
     assert_eq!(output.status.code(), Some(1), "{told}");
     assert!(told.contains("only vehicles with a secret key"), "{told}");
@@ -112,22 +115,19 @@ fn a_service_that_needs_keys_is_told_from_one_that_is_not_there() {
 #[test]
 fn a_measurement_without_a_plan_fails_and_says_why() {
     let (server, endpoint) = serve(|_| {});
-    let output = Command::new(env!("CARGO_BIN_EXE_egp-load"))
-        .args(["--connect", &endpoint, "--vehicles", "1"])
-        .args(["--seconds", "1", "--warm-up", "0.1"])
-        .args(["--budget", "0.001"]) // 20 µs, in which no answer can come
-        .output()
-        .unwrap();
+    // The budget is 20 µs, in which no answer can come.
+    let options = ["--seconds=1", "--warm-up=0.1", "--budget=0.001"];
+    let output = load(&endpoint, &options);
     let (table, told) = (
         String::from_utf8(output.stdout).unwrap(),
         String::from_utf8(output.stderr).unwrap(),
     );
     assert_eq!(output.status.code(), Some(1), "{told}");
-    assert!(table.contains("late"), "{table}");
     let step = table.lines().find(|line| line.contains("in the step"));
     let dashes = format!("{:24}{}{:9}", "  in the step", "        -".repeat(4), 0);
     assert_eq!(step, Some(dashes.as_str()), "{table}");
     assert!(told.contains("no request was solved"), "{told}");
+    assert!(told.contains("ended with `late`"), "{told}");
     assert!(told.contains("raise --budget"), "{told}");
     server.drain();
 }

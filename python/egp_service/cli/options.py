@@ -26,6 +26,8 @@ Recording = Annotated[
         help="A run.mcap of `egp drive` or `Recorder`, or its folder.", show_default=False
     ),
 ]
+NOT_COMPLETED = 3
+"""Exit status of a command whose runs were not completed."""
 RunsFolder = Annotated[Path, typer.Option("--output", "-o", help="Folder of the runs.")]
 
 

@@ -43,7 +43,7 @@ def endpoint_list(endpoints: str | Sequence[str], port: int, *, configured: bool
     argument states none.
 
     Raises:
-        TypeError: unless the argument is a text or a sequence.
+        TypeError: unless the argument is a text or a sequence of texts.
         InvalidArgumentError: as `check_endpoints`, and if there is neither an endpoint nor a
             configuration.
 

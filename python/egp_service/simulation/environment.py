@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 
 Observation = np.ndarray[tuple[int], np.dtype[np.float64]]
 
-_NAME: Final = "egp/Track-v0"  # of the environment, for `gymnasium.make`
-
 # m, where a full-size vehicle observes the curvature
 _AHEAD: Final = np.array([0.0, 5.0, 10.0, 20.0, 40.0])
 _PATIENCE: Final = 4.0  # times of the planned lap, after which an episode ends
@@ -185,4 +183,4 @@ class TrackEnvironment(gym.Env[Observation, Observation]):
         return observation, {"x": x, "s": self._s, "friction": projection.friction}
 
 
-gym.register(_NAME, f"{__name__}:{TrackEnvironment.__name__}")
+gym.register("egp/Track-v0", f"{__name__}:{TrackEnvironment.__name__}")

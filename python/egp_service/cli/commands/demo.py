@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
-from egp_service.cli.options import RunsFolder
+from egp_service.cli.options import NOT_COMPLETED, RunsFolder
 from egp_service.cli.output import say
 
 if TYPE_CHECKING:
@@ -36,7 +36,6 @@ def demo(
 
     For example: egp demo
     """
-    from egp_service.cli.commands.drive import NOT_COMPLETED
     from egp_service.cli.demo import LAPS, drive_laps
     from egp_service.cli.signals import naming_folder
     from egp_service.cli.status_line import StatusLine

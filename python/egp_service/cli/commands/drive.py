@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
-from egp_service.cli.options import RunsFolder, check_writable, fleet_and_name
+from egp_service.cli.options import NOT_COMPLETED, RunsFolder, check_writable, fleet_and_name
 from egp_service.cli.output import say
 
 if TYPE_CHECKING:
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from egp_service.simulation.scenario import Scenario
     from egp_service.simulation.summary import Summary
     from egp_service.simulation.trace import Period
-
-NOT_COMPLETED = 3
 
 
 def drive(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
-from egp_service.cli.options import Cluster, Jobs, check_unused
+from egp_service.cli.options import NOT_COMPLETED, Cluster, Jobs, check_unused
 from egp_service.cli.output import say
 from egp_service.shipped import EVALUATION_LIBRARY
 
@@ -226,7 +226,6 @@ def _write(
     import shlex
     import sys
 
-    from egp_service.cli.commands.drive import NOT_COMPLETED
     from egp_service.cli.progress import counted
     from egp_service.cli.tables import headline_table
     from egp_service.evaluation.experiments import HIDDEN_ICE, OBSTACLE_AVOIDANCE
