@@ -110,14 +110,14 @@ def test_results_cut_off_in_the_middle_hold_nobody_up() -> None:
 
 @contextmanager
 def evaluation(folder: Path, *options: str) -> Iterator[subprocess.Popen[str]]:
-    """Drive twelve laps of 750 m."""
+    """Drive twelve laps of 750 m; a failure shows what was printed and what the threads did."""
     track = folder / "circle.csv"
     angle = np.linspace(0.0, 2.0 * np.pi, 120, endpoint=False)
     rows = np.column_stack([120.0 * np.cos(angle), 120.0 * np.sin(angle), np.full((120, 2), 4.0)])
     np.savetxt(track, rows, delimiter=",", header="x_m,y_m,w_tr_right_m,w_tr_left_m")
-    command = [sys.executable, "-m", "egp_service", "evaluate", "-e", "unseen-track"]
+    command = [sys.executable, "-X", "faulthandler", "-m", "egp_service", "evaluate"]
     process = subprocess.Popen(
-        [*command, "--track", str(track), "-o", str(folder), *options],
+        [*command, "-e", "unseen-track", "--track", str(track), "-o", str(folder), *options],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -125,14 +125,20 @@ def evaluation(folder: Path, *options: str) -> Iterator[subprocess.Popen[str]]:
     )
     try:
         yield process
+    except BaseException as error:
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGABRT)
+        output, _ = process.communicate()
+        error.add_note(output)
+        raise
     finally:
         with suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
         process.wait()
 
 
-def _is_longer(file: Path, size: int) -> bool:
-    return file.exists() and file.stat().st_size > size
+def _has_gone_on(process: subprocess.Popen[str], log: Path, size: int) -> bool:
+    return process.poll() is not None or (log.exists() and log.stat().st_size > size)
 
 
 def test_an_evaluation_ends_with_its_processes_and_goes_on(tmp_path: Path) -> None:
@@ -145,8 +151,9 @@ def test_an_evaluation_ends_with_its_processes_and_goes_on(tmp_path: Path) -> No
         (os.kill, signal.SIGKILL, -signal.SIGKILL, one),
     ):
         with evaluation(tmp_path, *jobs) as process:
-            wait_until(partial(_is_longer, log, len(finished)), 5 * PATIENCE)
-            send(process.pid, sent)
+            wait_until(partial(_has_gone_on, process, log, len(finished)), 5 * PATIENCE)
+            with suppress(ProcessLookupError):
+                send(process.pid, sent)
             # Until all have closed it.
             output, _ = process.communicate(timeout=5 * PATIENCE)
         assert process.returncode == code, output
