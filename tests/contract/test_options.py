@@ -23,7 +23,7 @@ NOBODY = "tcp/127.0.0.1:9"
         ("replay run.mcap -o x.png --no-pictures", "--output names a picture, which --no-pictures"),
         ("load --replay run.mcap --grip 0.3", "--grip is for simulated vehicles, and --replay"),
         ("load --replay run.mcap --json run.mcap", "run.mcap would overwrite run.mcap"),
-        ("load --replay run.mcap --figure x.png --json x.png", "x.png would overwrite x.png"),
+        ("load --replay run.mcap --picture x.png --json x.png", "x.png would overwrite x.png"),
         ("evaluate --train --jobs 2 --cluster 127.0.0.1:6379", "--jobs and --cluster exclude"),
         ("evaluate --train -o .", "runs of a library that was not trained there"),
         (

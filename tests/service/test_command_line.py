@@ -344,7 +344,7 @@ def test_a_drive_reaches_a_service_by_a_configuration_of_zenoh(tmp_path: Path) -
         report = tmp_path / "load.json"
         replay = ["load", "--replay", str(recording), "--connect", service.endpoint]
         options = ["--vehicles", "2", "--seconds", "1", "--ramp", "0.5", "--most", "3"]
-        figure = ["--figure", str(report.with_suffix(".png"))]
+        figure = ["--picture", str(report.with_suffix(".png"))]
         assert CliRunner().invoke(app, [*replay, *options, *figure]).exit_code == 0
     rates = json.loads(report.read_text())["rates"]
     assert [rate["vehicles"] for rate in rates] == [2, 3]
@@ -357,7 +357,7 @@ def test_a_drive_reaches_a_service_by_a_configuration_of_zenoh(tmp_path: Path) -
         (report, "load.json does not name a picture"),
         (report / "knee.png", "this is no folder"),
     ):
-        result = CliRunner().invoke(app, [*replay, "--figure", str(name)])
+        result = CliRunner().invoke(app, [*replay, "--picture", str(name)])
         assert isinstance(result.exception, EgpError | OSError)
         assert expected in str(result.exception)
     settings.write_text("{conect: {}}", encoding="utf-8")

@@ -21,7 +21,7 @@ from egp_service.cli import app
 from egp_service.data.alignment import consecutive
 from egp_service.data.dataset import Dataset
 from egp_service.data.log_import import Column, import_log
-from egp_service.data.recording import read_recording
+from egp_service.data.recording import read_fields
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -175,9 +175,9 @@ def test_bags_give_what_was_driven_at_the_times_of_the_headers(tmp_path: Path, f
 
 
 def test_without_stamps_the_times_are_those_of_the_recording(tmp_path: Path) -> None:
-    stamped = read_recording(write(tmp_path, "folder mcap"), ["/car/odom/twist.twist.linear.x"], 1)
+    stamped = read_fields(write(tmp_path, "folder mcap"), ["/car/odom/twist.twist.linear.x"], 1)
     path = write(tmp_path / "other", "mcap", Drive(stamped=False))
-    recorded = read_recording(path, ["/car/odom/twist.twist.linear.x"], 1)
+    recorded = read_fields(path, ["/car/odom/twist.twist.linear.x"], 1)
     assert recorded.columns == ["time", "/car/odom/twist.twist.linear.x"]
     np.testing.assert_allclose(np.diff(stamped["time"]), 0.01, rtol=0.0, atol=1e-9)
     late = np.diff(recorded["time"]) - 0.01
@@ -246,7 +246,7 @@ def test_files_that_are_no_complete_recording_are_named(tmp_path: Path) -> None:
         writer.register_channel("/step", "json", 0)
         writer.finish()  # type: ignore[no-untyped-call]
     with pytest.raises(EgpError, match=r"announced\.mcap: .*/step"):
-        read_recording(tmp_path / "announced.mcap")
+        read_fields(tmp_path / "announced.mcap")
     with pytest.raises(EgpError, match="no such file or folder"):
         load(tmp_path / "none.mcap")
     named = dict.fromkeys(("noise.mcap", "n.MCAP", "noise.db3", "noise.bag"), "not a readable rec")
@@ -277,13 +277,13 @@ def test_an_interrupted_mcap_file_is_read_up_to_there(
         writer.finish()  # type: ignore[no-untyped-call]
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
-    speeds = read_recording(path, ["/car/speed"], 0.02)["/car/speed"].to_list()
+    speeds = read_fields(path, ["/car/speed"], 0.02)["/car/speed"].to_list()
     assert 100 < len(speeds) < 300
     assert speeds == list(range(len(speeds)))
     assert "run.mcap was interrupted" in caplog.text
     path.write_bytes(whole[: len(whole) // 3] + bytes(range(200)) + whole[len(whole) // 3 :][:900])
     with pytest.raises(EgpError, match=r"run.mcap: the recording is damaged at byte \d+ "):
-        read_recording(path, ["/car/speed"], 0.02)
+        read_fields(path, ["/car/speed"], 0.02)
 
 
 @pytest.mark.parametrize("form", ["mcap", "db3", "ros1"])
@@ -318,11 +318,11 @@ def test_mcap_files_with_json(tmp_path: Path) -> None:
             writer.add_message(channel, 10**9 + k, data, 10**9 + k)
         writer.finish()  # type: ignore[no-untyped-call]
     path = path.rename(tmp_path / "JSON.MCAP")
-    table = read_recording(path, ["/car/speed[1]"], 0.02)
+    table = read_fields(path, ["/car/speed[1]"], 0.02)
     assert table["/car/speed[1]"].to_list() == [0.0, 2.0, 4.0, 6.0, 8.0]
     np.testing.assert_allclose(table["time"], 0.02 * np.arange(5))
     with pytest.raises(EgpError, match=r"has no 'velocity', found timestamp, speed"):
-        read_recording(path, ["/car/velocity"], 0.02)
+        read_fields(path, ["/car/velocity"], 0.02)
 
 
 def test_parquet_files_with_times_of_the_clock(tmp_path: Path) -> None:

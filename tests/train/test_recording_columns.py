@@ -9,7 +9,7 @@ import pytest
 from mcap.writer import Writer as McapWriter
 
 from egp_service import Controller, EgpError, Plant, Recorder, shipped
-from egp_service.data.recording import read_recording
+from egp_service.data.recording import read_fields
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -27,25 +27,25 @@ def test_a_recording_of_this_project_is_a_log(tmp_path: Path) -> None:
                 step = controller.step(np.array([0.0, 0.1, 15.0 + k, 0, 0, 0, 0]), reference)
                 recorder.add(step, np.array([0.0, 0.1, 15.0 + k, 0, 0, 0, 0]), 0.02 * k)
                 forces.append(step.u[0])
-    table = read_recording(path, ["/step/v_x", "/step/force", "/step/weights[0]"], 0.02)
+    table = read_fields(path, ["/step/v_x", "/step/force", "/step/weights[0]"], 0.02)
     assert table["/step/v_x"].to_list() == [15.0 + k for k in range(10)]
     assert table["/step/force"].to_list() == forces
     assert table["/step/weights[0]"][0] == 0.5  # of two members
     np.testing.assert_allclose(table["time"], 0.02 * np.arange(10), rtol=0.0, atol=1e-9)
     with pytest.raises(EgpError, match=r"has no 'speed', found .*v_x"):
-        read_recording(path, ["/step/speed"], 0.02)
+        read_fields(path, ["/step/speed"], 0.02)
     for index in (2, 5):
         with pytest.raises(EgpError, match=rf"has no '{index}': there are 2 entries, from 0"):
-            read_recording(path, [f"/step/weights[{index}]"], 0.02)
-    assert read_recording(str(path), list(table.columns[1:]), 0.02).equals(table)
+            read_fields(path, [f"/step/weights[{index}]"], 0.02)
+    assert read_fields(str(path), list(table.columns[1:]), 0.02).equals(table)
     for names in (list[str](), "/step/v_x"):
         with pytest.raises(EgpError, match="expected a list of TOPIC/"):
-            read_recording(path, names, 0.02)
+            read_fields(path, names, 0.02)
     for dt in (0.0, -0.02, float("nan"), float("inf")):
         with pytest.raises(EgpError, match=f"dt is {dt}: expected a positive period in s"):
-            read_recording(path, ["/step/v_x"], dt)
+            read_fields(path, ["/step/v_x"], dt)
     # Without names: the numbers and texts of the steps; lists are named by an index.
-    plain = read_recording(path)
+    plain = read_fields(path)
     assert set(plain["/step/mode"]) == {"normal"}
     assert plain["/step/detail"].to_list() == [""] * 10
     assert plain["/step/v_x"].equals(table["/step/v_x"])
@@ -70,10 +70,10 @@ def test_texts_are_columns_and_those_of_other_topics_hold_until_the_next_message
             if k % 2 == 0:
                 writer.add_message(gear, 10**7 * k, b'{"name": "%d"}' % k, 10**7 * k)
         writer.finish()  # type: ignore[no-untyped-call]
-    table = read_recording(path, ["/car/speed", "/gear/name"], 0.02)
+    table = read_fields(path, ["/car/speed", "/gear/name"], 0.02)
     assert table["/car/speed"].to_list() == [0.0, 1.0, 2.0, 3.0, 4.0]
     assert table["/gear/name"].to_list() == ["0", "0", "2", "2", "4"]
     with pytest.raises(EgpError, match="'/car/odd' is a text in 5 of 6 messages"):
-        read_recording(path, ["/car/odd"])
+        read_fields(path, ["/car/odd"])
     with pytest.raises(EgpError, match=r"no topic of '/step' is recorded: .* /car, /gear$"):
-        read_recording(path)
+        read_fields(path)

@@ -13,7 +13,7 @@ from egp_service._core import STANDARD_GRAVITY, EgpError
 from egp_service.data import held_values, motion_limits, plausibility
 from egp_service.data.dataset import Dataset
 from egp_service.data.messages import check_folder, is_recording
-from egp_service.data.recording import read_recording, topics
+from egp_service.data.recording import read_fields, topics
 from egp_service.data.table import comes_twice, numbers, read_table, some
 from egp_service.quantities import GP_INPUT, GP_STATE_NAMES, NY, TILT
 
@@ -100,7 +100,7 @@ def import_log(
 
     A log is a CSV or Parquet file, an MCAP file, or a bag of ROS 1 or 2. `columns` maps `time, v_x,
     v_y, omega, delta` and `F_x`, or `a_x` (acceleration, multiplied by `mass` in kg), to the log's
-    columns. Those of MCAP files and bags are fields of messages as `read_recording` names them,
+    columns. Those of MCAP files and bags are fields of messages as `read_fields` names them,
     with the times of the messages of `v_x`; `report` receives the number of messages that were
     read, and of all.
 
@@ -140,7 +140,7 @@ def import_log(
         base = columns["v_x"].name
         others = {c.name for q, c in columns.items() if q != "time"} - {base}
         _check_quantities(columns, mass)
-        frame = read_recording(path, [base, *sorted(others)], provenance.dt, report)
+        frame = read_fields(path, [base, *sorted(others)], provenance.dt, report)
         if texts := [c.name for c in frame if not c.dtype.is_numeric()]:
             raise EgpError(f"{path}: '{texts[0]}' is no number: it is a text")
     else:

@@ -41,7 +41,7 @@ def topics(path: str | Path) -> str:
     return ", ".join(f"{topic} ({kind})" for topic, (kind, _) in found)
 
 
-def read_recording(
+def read_fields(
     path: str | Path,
     names: Sequence[str] | None = None,
     dt: float | None = None,

@@ -22,7 +22,7 @@ def load(
     report: Annotated[
         Path | None, typer.Option("--json", help="File of the report.", show_default=False)
     ] = None,
-    figure: Annotated[
+    picture: Annotated[
         Path | None,
         typer.Option(
             help="With --replay: picture of shares and latencies over the load (extra "
@@ -45,7 +45,7 @@ def load(
     For example:
       egp serve library.safetensors &
       egp load --vehicles 8 --seconds 20
-      egp load --replay run.mcap --vehicles 32 --ramp 0.99 --figure knee.png
+      egp load --replay run.mcap --vehicles 32 --ramp 0.99 --picture knee.png
     """
     from tempfile import TemporaryFile
 
@@ -54,7 +54,7 @@ def load(
     from egp_service.control.recorded import read_recording, write_requests
 
     arguments = list(context.args)
-    if figure is not None:
+    if picture is not None:
         from egp_service.simulation.load_figure import draw_load
         from egp_service.simulation.report import check_picture
 
@@ -63,12 +63,12 @@ def load(
                 "a picture shows rates of recorded requests: give --replay run.mcap, and "
                 "--ramp 0.99 for rising rates"
             )
-        check_picture(figure)
-        check_writable(figure)
-        report = report or figure.with_suffix(".json")
+        check_picture(picture)
+        check_writable(picture)
+        report = report or picture.with_suffix(".json")
     if replay is not None:
         replay = recording_file(replay)
-    check_outputs([replay], report, figure)
+    check_outputs([replay], report, picture)
     stated = {argument.partition("=")[0] for argument in arguments}
     if report is not None:
         arguments += ["--json", str(report)]
@@ -86,9 +86,9 @@ def load(
         file.seek(0)
         requests = f"/dev/fd/{file.fileno()}"
         code = _run(["--requests", requests, *arguments])
-    if code == 0 and figure is not None and report is not None:
-        draw_load(report, figure)
-        typer.echo(f"The picture is {figure}, and its figures are in {report}.")
+    if code == 0 and picture is not None and report is not None:
+        draw_load(report, picture)
+        typer.echo(f"The picture is {picture}, and its figures are in {report}.")
     raise typer.Exit(code)
 
 
