@@ -106,7 +106,7 @@ def laps(path: Path, seeds: range, *, sensed: bool, delay: float | None) -> str:
 def main() -> None:
     """Print the table."""
     seeds = range(int(sys.argv[1]) if len(sys.argv) > 1 else 20)
-    collection = CollectionSettings(runs=8, samples=0)
+    collection = CollectionSettings(runs=8, samples=0, steady=0)
     exact = collect(Experiment(FRICTION, "dry", 1, DT, 1), collection, jobs=1)
     seen = measure(exact, SENSORS, np.random.default_rng(0))
     # A vehicle that is not the simulated one: its log is searched for delays.

@@ -30,7 +30,7 @@ def main(seeds: int) -> None:
     held = 0
     for seed in range(seeds):
         experiment = Experiment(0.9, "dry", seed, 0.02, 1)
-        exact = collect(experiment, CollectionSettings(runs=3, samples=0), jobs=1)
+        exact = collect(experiment, CollectionSettings(runs=3, samples=0, steady=0), jobs=1)
         measured = measure(exact, Sensors(), np.random.default_rng(seed))
         for name, data in (("exact", exact), ("sensors", measured)):
             (fitted,) = fit_vehicle([data], None, [np.random.default_rng(seed)])

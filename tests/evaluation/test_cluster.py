@@ -57,7 +57,7 @@ def cluster() -> Iterator[str]:
 
 def test_a_dataset_collected_on_a_cluster_is_the_same(cluster: str) -> None:
     exploration = ExplorationSettings(episodes=4, seconds=0.5)
-    settings = CollectionSettings(runs=3, samples=0, exploration=exploration)
+    settings = CollectionSettings(runs=3, samples=0, steady=0, exploration=exploration)
     experiment = Experiment(friction=0.8, label="test", seed=3)
     here = collect(experiment, settings, jobs=1)
     assert collect(experiment, settings, cluster=cluster).digest() == here.digest()

@@ -9,21 +9,26 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 from matplotlib import pyplot as plt
+from matplotlib.text import Text
 
 from egp_service import Path
 from egp_service.evaluation import figures
 from egp_service.evaluation.statistics import Interval
-from egp_service.simulation.report import STYLE, _commands_figure, draw_track
+from egp_service.simulation.report import (
+    STYLE,
+    _commands_figure,
+    _comparison_figure,
+    draw_track,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-    from matplotlib.text import Text
 
 MU = (1.1, 0.6, 0.9, 0.5, 1.0, 0.75)
 
 
-def run(path: Path, friction: tuple[float, ...] = (1.0,)) -> Any:  # noqa: ANN401 - in place of a Run
-    """Drive along the path at 10 m/s."""
+def run(path: Path, friction: tuple[float, ...] = (1.0,), reason: str = "") -> Any:  # noqa: ANN401 - in place of a Run
+    """Drive along the path at 10 m/s; `reason` is why the run was not completed."""
     s = np.arange(0.0, path.length, 2.0)
     x, y, yaw = path.sample(s)[:3]
     still = np.zeros(len(s))
@@ -35,8 +40,12 @@ def run(path: Path, friction: tuple[float, ...] = (1.0,)) -> Any:  # noqa: ANN40
             u=np.zeros((len(s), 2)),
             distance=s,
             friction=np.resize(friction, len(s)),
+            lateral_error=still,
         ),
-        summary=SimpleNamespace(ending=SimpleNamespace(completed=True)),
+        summary=SimpleNamespace(
+            ending=SimpleNamespace(completed=not reason, reason=reason, position=(0.0, 0.0)),
+            lateral_error=SimpleNamespace(max=0.12),
+        ),
     )
 
 
@@ -64,6 +73,18 @@ def test_the_scale_is_beside_the_labels_of_the_friction() -> None:
         scale = texts[-1].get_text().strip()
         assert scale.endswith(" m")
         assert not [pair for pair in overlaps(figure, texts) if scale in pair]
+        plt.close(figure)
+
+
+def test_titles_of_runs_side_by_side_are_apart() -> None:
+    path = Path.rounded_rectangle()
+    lost = run(path, reason="more than 3 m beside the path after 274 m: +3.02 m")
+    with plt.style.context(STYLE):
+        figure = _comparison_figure([("told, mu 0.5", lost), *[("told, mu 1.1", run(path))] * 4])
+        titles = [text for text in figure.findobj(Text) if text.get_text().startswith("told, mu ")]
+        titles = [text for text in titles if "beside" in text.get_text()]
+        assert len(titles) == 5
+        assert not overlaps(figure, titles)
         plt.close(figure)
 
 

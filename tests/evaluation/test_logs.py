@@ -50,7 +50,7 @@ DT = 0.04  # 25 Hz
 
 @pytest.fixture(scope="module")
 def exact() -> Dataset:
-    settings = CollectionSettings(runs=2, samples=0)
+    settings = CollectionSettings(runs=2, samples=0, steady=0)
     found = collect(Experiment(0.9, "dry", 1, DT, 1), settings, jobs=1)
     # Blocks of 4 s, as an import makes them of 10 s.
     block = np.cumsum(

@@ -32,7 +32,7 @@ SETTINGS = TrainingSettings(max_points=60, first_points=60, restarts=0, max_iter
 
 def log(name: str, friction: float, track: str, seed: int) -> Dataset:
     """Return a drive on one track as the sensors of a real car measure it, in blocks of 4 s."""
-    settings = CollectionSettings(tracks=(track,), runs=1, samples=0)
+    settings = CollectionSettings(tracks=(track,), runs=1, samples=0, steady=0)
     found = collect(Experiment(friction, name, seed, DT, 1), settings, jobs=1)
     block = np.cumsum(
         np.concatenate([[0], np.diff(found.trajectory) != 0]) | (found.step % 100 == 0)

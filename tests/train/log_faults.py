@@ -47,7 +47,7 @@ def drive(seed: int) -> Log:
     """Drive the car once; its surface depends on the seed. Each trajectory begins after a gap."""
     friction = FRICTIONS[seed % len(FRICTIONS)]
     experiment = Experiment(friction, "log", seed, DT, 1, {})
-    data = collect(experiment, CollectionSettings(runs=1, samples=0), jobs=1)
+    data = collect(experiment, CollectionSettings(runs=1, samples=0, steady=0), jobs=1)
     breaks = np.diff(data.trajectory.astype(np.int64)) != 0
     time = np.concatenate(([0.0], np.cumsum(np.where(breaks, 1.0, DT))))
     return {"time": time} | {

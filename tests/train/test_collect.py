@@ -8,18 +8,21 @@ import numpy as np
 import pytest
 
 from egp_service import EgpError
-from egp_service._core import Plant
+from egp_service._core import GRAVITY, Plant
 from egp_service.data.collect import CollectionSettings, collect
 from egp_service.data.experiment import Experiment
 from egp_service.data.exploration import ExplorationSettings, explore
 from egp_service.data.exploration_track import ExplorationTrack
 from egp_service.data.sampling import sample
+from egp_service.data.steady import steady
 
 if TYPE_CHECKING:
     from egp_service.data.dataset import Dataset
 
 WET = Experiment(friction=0.5, label="wet", seed=3)
-SHORT = CollectionSettings(runs=2, samples=20, exploration=ExplorationSettings(episodes=4))
+SHORT = CollectionSettings(
+    runs=2, samples=20, steady=10, exploration=ExplorationSettings(episodes=4)
+)
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +42,8 @@ def test_same_seed_same_data_in_any_number_of_processes() -> None:
 def test_a_preset_is_labelled_by_its_peak() -> None:
     snow = collect(Experiment(friction="snow", label="snow", seed=3), SHORT, jobs=1)
     assert snow.provenance.friction == 0.3
-    assert snow.provenance.method == "random sampling on snow + track on snow"
+    method = "random sampling on snow + steady driving on snow + track on snow"
+    assert snow.provenance.method == method
     number = collect(Experiment(friction=0.3, label="snow", seed=3), SHORT, jobs=1)
     assert snow.digest() != number.digest()
     with pytest.raises(EgpError, match="no surface"):
@@ -49,7 +53,7 @@ def test_a_preset_is_labelled_by_its_peak() -> None:
 def test_progress_counts_runs() -> None:
     seen: list[tuple[int, int]] = []
     collect(WET, SHORT, jobs=1, report=lambda done, total: seen.append((done, total)))
-    assert seen == [(0, 3), (1, 3), (2, 3), (3, 3)]
+    assert seen == [(0, 4), (1, 4), (2, 4), (3, 4), (4, 4)]
 
 
 def test_rows_follow_each_other_in_time(run: Dataset) -> None:
@@ -104,6 +108,30 @@ def test_samples_fill_their_bounds() -> None:
     assert np.ptp(many.z[:, 5]) > 1.5 * WET.parameters.steering_rate
 
 
+def test_steady_driving_keeps_its_inputs() -> None:
+    data = steady(WET, 60, (2.0, 27.0))
+    assert data.provenance.method == "steady driving"
+    assert len(data) == 60 * 25
+    one = data.z.reshape(60, 25, 6)
+    assert np.all(one[:, :, 4:] == one[:, :1, 4:])
+    assert np.all(one[:, :, 5] == 0.0)
+    assert 0.9 < np.abs(one[:, 0, 4]).max() / WET.mass <= 1.0
+    speeds = one[:, 0, 0]
+    assert speeds.min() < 4.0
+    assert speeds.max() > 25.0
+    # The suspension has settled, so that yaw rate and slip hardly change.
+    change = data.y.reshape(60, 25, 3)[:, :, 1:] / WET.dt
+    assert np.median(np.abs(change)) < 0.02
+    lateral = speeds * one[:, 0, 2] / (WET.mu * GRAVITY)
+    assert lateral.min() < -0.4
+    assert lateral.max() > 0.4
+
+
+def test_cars_that_stop_give_no_steady_driving() -> None:
+    with pytest.raises(EgpError, match=r"all 3 vehicles that drive steadily .*\(0.1, 0.2\)"):
+        steady(WET, 3, (0.1, 0.2))
+
+
 def test_both_directions_turn() -> None:
     left, right = (
         explore(
@@ -123,12 +151,14 @@ def test_refuses_what_is_not_there() -> None:
     with pytest.raises(EgpError, match="samples is -5: expected a number of at least 0"):
         CollectionSettings(runs=1, samples=-5)
     with pytest.raises(EgpError, match="nothing to collect"):
-        CollectionSettings(runs=0, samples=0)
+        CollectionSettings(runs=0, samples=0, steady=0)
 
 
 def test_the_largest_seed_is_one_of_every_run() -> None:
     short = ExplorationSettings(episodes=1, seconds=0.1, warm_up=0.0)
-    settings = CollectionSettings(runs=1, samples=0, tracks=("random",), exploration=short)
+    settings = CollectionSettings(
+        runs=1, samples=0, steady=0, tracks=("random",), exploration=short
+    )
     for seed in (20261129150300, 2**63 - 1):
         assert len(collect(Experiment(friction=0.8, label="a", seed=seed), settings, jobs=1)) > 0
 

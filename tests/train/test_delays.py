@@ -107,7 +107,9 @@ def test_a_delay_that_leaves_too_few_transitions_does_not_count() -> None:
 @pytest.mark.parametrize("seed", [0, 4])
 def test_a_delay_is_found_in_a_log_that_late_stamps_break(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    exact = collect(Experiment(0.9, "dry", 1, DT, 1), CollectionSettings(runs=2, samples=0), jobs=1)
+    exact = collect(
+        Experiment(0.9, "dry", 1, DT, 1), CollectionSettings(runs=2, samples=0, steady=0), jobs=1
+    )
     whole = measure(exact, Sensors(delay=3), rng)
     breaks = np.cumsum(rng.random(len(whole)) < 0.01)
     log = dataclasses.replace(whole, step=(whole.step + breaks).astype(np.uint32))

@@ -72,7 +72,7 @@ def test_the_command_takes_disturbances(tmp_path: Path) -> None:
     def collect(*options: str) -> str:
         output = tmp_path / "data.parquet"
         arguments = ["collect", "-o", str(output), "--friction", "0.8", "--runs", "0"]
-        result = CliRunner().invoke(app, [*arguments, "--samples", "20", *options])
+        result = CliRunner().invoke(app, [*arguments, "--samples", "20", "--steady", "0", *options])
         if result.exception is not None and not isinstance(result.exception, SystemExit):
             raise result.exception
         assert result.exit_code == 0, result.output

@@ -40,7 +40,7 @@ SUV = VehicleParameters(
     | {"mass": 1800.0, "yaw_inertia": 3300.0, "l_f": 1.35, "l_r": 1.55, "steering_angle": 0.6}
 )
 COLLECT = ["collect", "--friction", "snow", "--vehicle", "suv.toml", "-o", "data.parquet"]
-SHORT = ["--runs", "2", "--samples", "60", "--track", "rounded-rectangle", "--seed", "3"]
+SHORT = "--runs 2 --samples 60 --steady 20 --track rounded-rectangle --seed 3"
 
 
 @pytest.fixture(autouse=True)
@@ -54,13 +54,13 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def collected(*arguments: str) -> Dataset:
-    result = CliRunner().invoke(app, [*COLLECT, *SHORT, *arguments])
+    result = CliRunner().invoke(app, [*COLLECT, *SHORT.split(), *arguments])
     assert result.exit_code == 0, result.output
     return Dataset.read("data.parquet")
 
 
 def failure(*arguments: str) -> str:
-    error = CliRunner().invoke(app, [*COLLECT, *SHORT, *arguments]).exception
+    error = CliRunner().invoke(app, [*COLLECT, *SHORT.split(), *arguments]).exception
     assert isinstance(error, EgpError), error
     return str(error)
 
@@ -69,7 +69,8 @@ def test_data_are_those_of_the_simulator_within_the_limits_of_its_car() -> None:
     data = collected("--plant", "slider_car:Car", "--jobs", "1")
     origin = data.provenance
     assert (origin.vehicle, origin.surface, origin.friction) == ("suv", "snow", 0.3)
-    assert origin.method == "random sampling in slider_car:Car + track in slider_car:Car"
+    methods = ("random sampling", "steady driving", "track")
+    assert origin.method == " + ".join(f"{it} in slider_car:Car" for it in methods)
     v_x, v_y, omega, delta, force, rate = data.z.T
     assert len(data) > 10_000
     assert not v_y.any()
@@ -89,7 +90,8 @@ def test_data_are_those_of_the_simulator_within_the_limits_of_its_car() -> None:
 
 def test_random_states_can_be_left_out() -> None:
     data = collected("--plant", "slider_car:Car", "--jobs", "1", "--samples", "0")
-    assert data.provenance.method == "track in slider_car:Car"
+    method = "steady driving in slider_car:Car + track in slider_car:Car"
+    assert data.provenance.method == method
 
 
 def test_what_does_not_fit_a_simulator_is_named(folder: Path) -> None:
@@ -101,9 +103,10 @@ def test_what_does_not_fit_a_simulator_is_named(folder: Path) -> None:
     assert "the TOML file of a car goes with --plant" in failure()
     (folder / "log.csv").write_text("t\n0\n")
     told = failure(*plant, "--from-log", "log.csv")
-    assert told.startswith("--track, --runs, --samples, --seed, --plant can be given for simulated")
+    every = "--track, --runs, --samples, --steady, --seed, --plant"
+    assert told.startswith(f"{every} can be given for simulated")
     assert "no attribute 'Van'" in failure("--plant", "slider_car:Van")
-    for more in ((), ("--samples", "0", "--jobs", "2")):
+    for more in ((), ("--samples", "0"), ("--samples", "0", "--steady", "0", "--jobs", "2")):
         told = failure("--plant", "slider_car:Failing", *more)
         assert "slider_car:Failing.step: ZeroDivisionError: solver diverged (" in told
     assert "all 60 samples spun or stopped" in failure("--plant", "slider_car:Lost")

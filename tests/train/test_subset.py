@@ -161,7 +161,9 @@ def test_spikes_are_chosen_where_too_few_others_are_left() -> None:
 
 
 def test_motion_of_the_simulated_car_is_no_spike() -> None:
-    settings = CollectionSettings(runs=2, samples=50, exploration=ExplorationSettings(episodes=5))
+    settings = CollectionSettings(
+        runs=2, samples=50, steady=0, exploration=ExplorationSettings(episodes=5)
+    )
     for friction in (0.5, 1.1):
         data = collect(Experiment(friction, "road", 1, 0.02, 1), settings, jobs=1)
         assert not spikes(data).any()

@@ -32,6 +32,8 @@ class Lap:
     label: str
     run: Run
     folder: Path
+    alone: bool = False
+    """Whether one member drove it, and not the ensemble."""
 
 
 def drive_laps(
@@ -56,7 +58,8 @@ def drive_laps(
         path = place / "library.safetensors"
         write_library_subset(source, path, [number])
         label = f"told, μ {member.friction:g}"
-        laps.append(_lap(label, replace(told, library=str(path)), place, observe))
+        lap = _lap(label, replace(told, library=str(path)), place, observe)
+        laps.append(replace(lap, alone=True))
     return laps
 
 

@@ -1,6 +1,7 @@
 """Collection of a dataset of one surface in simulation, in parallel processes.
 
-Runs on tracks give the usual states of vehicles, and random states give unusual but possible ones.
+Runs on tracks give the states of vehicles up to the limit, random states give unusual but possible
+ones, and steady driving gives constant inputs.
 The result does not depend on the number of processes.
 """
 
@@ -17,6 +18,7 @@ from egp_service.data.experiment import SEEDS
 from egp_service.data.exploration import ExplorationSettings, explore
 from egp_service.data.exploration_track import ExplorationTrack, check_track
 from egp_service.data.sampling import SamplingBounds, sample
+from egp_service.data.steady import steady
 from egp_service.workers import in_order, workers
 
 if TYPE_CHECKING:
@@ -36,16 +38,18 @@ class CollectionSettings:
     """Number of runs on tracks."""
     samples: int = 300
     """Number of vehicles that start in random states."""
+    steady: int = 200
+    """Number of vehicles that drive steadily, at speeds in `sampling.v_x`."""
     exploration: ExplorationSettings = dataclasses.field(default_factory=ExplorationSettings)
     sampling: SamplingBounds = dataclasses.field(default_factory=SamplingBounds)
 
     def __post_init__(self) -> None:
         """Check that something is collected."""
-        for name, count in (("runs", self.runs), ("samples", self.samples)):
-            if count < 0:
+        for name in ("runs", "samples", "steady"):
+            if (count := getattr(self, name)) < 0:
                 raise EgpError(f"{name} is {count}: expected a number of at least 0")
-        if self.runs + self.samples == 0:
-            raise EgpError("nothing to collect: ask for runs, samples or both")
+        if self.runs + self.samples + self.steady == 0:
+            raise EgpError("nothing to collect: ask for runs, samples or steady driving")
         if self.runs and not self.tracks:
             raise EgpError("runs need at least one track")
         for name in self.tracks:
@@ -70,11 +74,14 @@ def collect(
 
     """
     numbers = range(settings.runs)
-    total = settings.runs + bool(settings.samples)
+    total = settings.runs + bool(settings.samples) + bool(settings.steady)
     parts: list[Dataset] = []
     report(0, total)
     if settings.samples:
         parts.append(sample(experiment, settings.samples, settings.sampling))
+        report(len(parts), total)
+    if settings.steady:
+        parts.append(steady(experiment, settings.steady, settings.sampling.v_x))
         report(len(parts), total)
     run = partial(_run, experiment, settings)
     with ExitStack() as stack:

@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 
 _PREVIEW: Final = 0.5  # s, preview time of pure pursuit
 _MAX_STEERING: Final = 0.45  # rad; larger angles only increase the slip of the front wheels
-_UNDERSTEER: Final = 0.0035  # rad s²/m, extra steering per lateral acceleration
+UNDERSTEER: Final = 0.0035
+"""Extra steering angle per lateral acceleration, rad s²/m."""
 _YAW_GAIN: Final = 0.15  # s, steering per yaw-rate error
 _STEERING_TIME: Final = 0.1  # s, time constant of the steering control
 _SPEED_TIME: Final = 0.5  # s, time constant of the speed control
@@ -58,7 +59,7 @@ class Driver:
         ahead = math.cos(psi) * (aim[P_X] - p_x) + math.sin(psi) * (aim[P_Y] - p_y)
         left = -math.sin(psi) * (aim[P_X] - p_x) + math.cos(psi) * (aim[P_Y] - p_y)
         curvature = 2.0 * left / max(ahead * ahead + left * left, 1.0)
-        wanted = math.atan(self.wheelbase * curvature) + _UNDERSTEER * v_x * v_x * curvature
+        wanted = math.atan(self.wheelbase * curvature) + UNDERSTEER * v_x * v_x * curvature
         wanted += _YAW_GAIN * (v_x * curvature - omega)
         wanted = min(_MAX_STEERING, max(-_MAX_STEERING, wanted))
         forward = (reference[1, V_X] - reference[0, V_X]) / self.dt

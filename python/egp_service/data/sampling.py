@@ -8,25 +8,20 @@ because a member must also predict a car that arrives too fast from a surface wi
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from egp_service._core import GRAVITY, EgpError, VehicleLostError
-from egp_service.data.dataset import Dataset
-from egp_service.data.experiment import (
-    Experiment,
-    SimulatedVehicle,
-    check_range,
-    largest_demand,
-)
-from egp_service.quantities import DELTA, F_X, NY, NZ, OMEGA, V_X, V_Y
+from egp_service._core import GRAVITY, EgpError
+from egp_service.data import constant_inputs
+from egp_service.data.experiment import check_range, largest_demand
+from egp_service.quantities import F_X
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_VISIBLE: Final = (V_X, V_Y, OMEGA, DELTA)  # columns of the state
-_STANDSTILL: Final = 0.5  # m/s; slower vehicles count as standing
+    from egp_service.data.dataset import Dataset
+    from egp_service.data.experiment import Experiment
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,48 +67,10 @@ def sample(
     rng = np.random.default_rng(experiment.seed)
     start, inputs = _draw(experiment, count, settle + keep, bounds, rng)
     inputs[:, F_X] *= experiment.mass
-    vehicle = experiment.simulated()
-    driven = [
-        _drive(experiment, vehicle, x, u, settle + keep) for x, u in zip(start, inputs, strict=True)
-    ]
-    alive = [number for number, states in enumerate(driven) if states is not None]
-    survivors = len(alive)
-    if survivors == 0:
+    data = constant_inputs.drive(experiment, start, inputs, (settle, keep), "random sampling")
+    if data is None:
         raise EgpError(f"all {count} samples spun or stopped: narrow the bounds {bounds}")
-    visible = np.array([states for states in driven if states is not None])[:, settle:, _VISIBLE]
-    repeated = np.repeat(inputs[alive][:, None, :], keep, axis=1)
-    z = np.concatenate([visible[:, :-1], repeated], axis=2)
-    return Dataset(
-        z=z.reshape(-1, NZ),
-        y=np.diff(visible[:, :, :NY], axis=1).reshape(-1, NY),
-        trajectory=np.repeat(np.arange(survivors, dtype=np.uint32), keep),
-        step=np.tile(np.arange(keep, dtype=np.uint32), survivors),
-        provenance=experiment.provenance("random sampling"),
-    )
-
-
-def _drive(
-    experiment: Experiment,
-    vehicle: SimulatedVehicle,
-    x: NDArray[np.float64],
-    u: NDArray[np.float64],
-    periods: int,
-) -> NDArray[np.float64] | None:
-    """Drive from the state x (7,) with the input u (2,); return the states (periods + 1, 7).
-
-    None if the vehicle spun or stopped.
-    """
-    vehicle.reset(x)
-    states = [vehicle.state]
-    for _ in range(periods):
-        try:
-            vehicle.step(u, experiment.dt, experiment.friction)
-        except VehicleLostError:
-            return None
-        states.append(vehicle.state)
-        if states[-1][V_X] <= _STANDSTILL:
-            return None
-    return np.array(states)
+    return data
 
 
 def _draw(

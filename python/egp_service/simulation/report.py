@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from textwrap import fill
 from typing import TYPE_CHECKING, Final
 
 import matplotlib as mpl
@@ -51,6 +52,7 @@ STYLE = {
     "savefig.facecolor": "white",
 }
 INK, MUTED, ALARM = "#1f2937", "#8a8f98", "#c2410c"
+_CHARACTERS: Final = 10.0  # of a title in an inch
 FOUND, PLANNED = "#4ba3c7", "#6a994e"
 MEMBER_COLOURS = ("#4ba3c7", "#e0a13a", "#6a994e", "#9d6bb0", "#c8553d", "#5c677d")
 # From ice to dry asphalt.
@@ -111,32 +113,38 @@ def draw_errors(run: Run, path: FilePath, title: str | None = None) -> FilePath:
 def draw_comparison(runs: Sequence[tuple[str, Run]], path: FilePath) -> FilePath:
     """Draw the tracks of several runs of a scenario side by side, and their errors in one plot."""
     with plt.style.context(STYLE):
-        figure = plt.figure(figsize=(min(4.2 * len(runs), 12.5), 5.4))
-        rows = figure.add_gridspec(2, len(runs), height_ratios=(1.25, 1.0))
-        driven = np.concatenate([run.trace.x[:, V_X] for _, run in runs])
-        speeds = Normalize(float(driven.min()), float(driven.max()))
-        axes = [figure.add_subplot(rows[0, column]) for column in range(len(runs))]
-        for ax, (label, run) in zip(axes, runs, strict=True):
-            lines = draw_track(ax, run, speeds)
-            ending = run.summary.ending
-            verdict = (
-                f"{run.summary.lateral_error.max:.2f} m beside the path"
-                if ending.completed
-                else ending.reason.split(":")[0]
-            )
-            ax.set_title(f"{label}\n{verdict}", color=INK if ending.completed else ALARM, pad=12.0)
-        figure.colorbar(lines, ax=axes, label="speed [m/s]", shrink=0.7, aspect=20)
-        ax = figure.add_subplot(rows[1, :])
-        draw_zones(ax, runs[0][1].path, max(float(run.trace.distance[-1]) for _, run in runs))
-        for index, (label, run) in enumerate(runs):
-            colour = INK if index == 0 else MEMBER_COLOURS[(index - 1) % len(MEMBER_COLOURS)]
-            ax.plot(run.trace.distance, run.trace.lateral_error, color=colour, label=label)
-            if not run.summary.ending.completed:
-                ax.plot(run.trace.distance[-1], run.trace.lateral_error[-1], "X", color=ALARM)
-        ax.axhline(0.0, color=MUTED, linewidth=0.6)
-        ax.set(xlabel="distance [m]", ylabel="beside the path [m]", title="Lateral error")
-        _legend_above(ax, len(runs))
-        return save(figure, path)
+        return save(_comparison_figure(runs), path)
+
+
+def _comparison_figure(runs: Sequence[tuple[str, Run]]) -> Figure:
+    width = min(4.2 * len(runs), 12.5)
+    figure = plt.figure(figsize=(width, 5.4))
+    rows = figure.add_gridspec(2, len(runs), height_ratios=(1.25, 1.0))
+    driven = np.concatenate([run.trace.x[:, V_X] for _, run in runs])
+    speeds = Normalize(float(driven.min()), float(driven.max()))
+    axes = [figure.add_subplot(rows[0, column]) for column in range(len(runs))]
+    for ax, (label, run) in zip(axes, runs, strict=True):
+        lines = draw_track(ax, run, speeds)
+        ending = run.summary.ending
+        verdict = (
+            f"{run.summary.lateral_error.max:.2f} m beside the path"
+            if ending.completed
+            else ending.reason.split(":")[0]
+        )
+        title = f"{label}\n{fill(verdict, round(_CHARACTERS * width / len(runs)))}"
+        ax.set_title(title, color=INK if ending.completed else ALARM, pad=12.0)
+    figure.colorbar(lines, ax=axes, label="speed [m/s]", shrink=0.7, aspect=20)
+    ax = figure.add_subplot(rows[1, :])
+    draw_zones(ax, runs[0][1].path, max(float(run.trace.distance[-1]) for _, run in runs))
+    for index, (label, run) in enumerate(runs):
+        colour = INK if index == 0 else MEMBER_COLOURS[(index - 1) % len(MEMBER_COLOURS)]
+        ax.plot(run.trace.distance, run.trace.lateral_error, color=colour, label=label)
+        if not run.summary.ending.completed:
+            ax.plot(run.trace.distance[-1], run.trace.lateral_error[-1], "X", color=ALARM)
+    ax.axhline(0.0, color=MUTED, linewidth=0.6)
+    ax.set(xlabel="distance [m]", ylabel="beside the path [m]", title="Lateral error")
+    _legend_above(ax, len(runs))
+    return figure
 
 
 _SHORTEST: Final = 1.0

@@ -21,6 +21,7 @@ Value = TypeVar("Value")
 
 _RUNS = 6
 _SAMPLES = 300
+_STEADY = 200
 _VEHICLE = "1"  # number of CommonRoad
 _UNNAMED = "unnamed"  # vehicle of a log
 
@@ -59,6 +60,10 @@ def collect(
     samples: Annotated[
         int, typer.Option(min=0, help="Number of cars that start in random states.")
     ] = _SAMPLES,
+    steady: Annotated[
+        int,
+        typer.Option(min=0, help="Number of cars that drive at constant force and steering angle."),
+    ] = _STEADY,
     track: Annotated[
         list[str] | None, typer.Option(help="Track of the runs; repeat for more, used in turn.")
     ] = None,
@@ -110,7 +115,8 @@ def collect(
     """Collect drive data of one surface into a dataset.
 
     Drives the simulated car, or with --plant your simulator, on tracks, at
-    increasing speed and with exploration noise, and from random states. With
+    increasing speed and with exploration noise, from random states, and
+    steadily. With
     --samples 0 a simulator starts without slip only (docs/simulator.md
     describes simulators). With --from-log the command imports a log instead,
     which must contain time, v_x, v_y, omega, delta, and F_x or a_x. With columns
@@ -158,6 +164,7 @@ def collect(
         "--track": track,
         "--runs": runs != _RUNS,
         "--samples": samples != _SAMPLES,
+        "--steady": steady != _STEADY,
         "--seed": seed,
         "--disturbance": disturbance,
         "--plant": plant,
@@ -195,9 +202,9 @@ def collect(
             accelerometer=accelerometer,
         )
     else:
-        settings = CollectionSettings(runs=runs, samples=samples)
+        settings = CollectionSettings(runs=runs, samples=samples, steady=steady)
         if track:
-            settings = CollectionSettings(tuple(track), runs, samples)
+            settings = dataclasses.replace(settings, tracks=tuple(track))
         disturbances = _once("--disturbance", map(_disturbance, disturbance or []))
         experiment = _experiment(plant, vehicle, road, label, seed, dt, disturbances)
         check_writable(output, picture)
