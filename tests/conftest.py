@@ -26,10 +26,14 @@ os.environ.setdefault("ZENOH_RUNTIME", "(rx: (worker_threads: 8), tx: (worker_th
 SLOW = (
     "tests/evaluation/test_quick.py",
     "tests/train/test_demo_library.py",
-    "tests/evaluation/test_interruption.py",
     "tests/evaluation/test_logs.py",
     "tests/train/test_choice.py",
 )
+
+# Files that wait for processes which compute. Beside the tests with deadlines, `make test` runs all
+# others as idle tasks, which may get next to no processor time for minutes. When the last files
+# run, those with deadlines have ended.
+LAST = ("tests/evaluation/test_interruption.py",)
 
 CHROMIUM = next(
     (
@@ -42,7 +46,7 @@ CHROMIUM = next(
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    rank = {name: k for k, name in enumerate(SLOW)}
+    rank = {name: k for k, name in enumerate(SLOW)} | dict.fromkeys(LAST, len(SLOW) + 1)
     items.sort(key=lambda item: rank.get(item.nodeid.partition("::")[0], len(SLOW)))
 
 

@@ -109,11 +109,13 @@ def test_a_car_that_starts_in_a_bend_is_in_its_steady_state(
 
 
 def test_a_run_that_starts_in_a_bend_has_no_larger_error_there() -> None:
-    scenario = circle(15.0, 10.0)
+    scenario = replace(circle(15.0, 10.0), laps=0.4)
     with in_process_controller(scenario) as controller:
         run = drive(scenario, controller, lambda _: None)
-    # 0.017 m; without yaw rate, steering and lateral speed at the start 0.475 m.
-    assert run.summary.lateral_error.max < 0.03
+    beside = np.abs(run.trace.lateral_error)
+    first = run.trace.time < 1.0
+    # Without yaw rate, steering and lateral speed at the start 0.475 m in the first second.
+    assert beside[first].max() < 0.01 + beside[~first].max() < 0.06
 
 
 @pytest.mark.parametrize(

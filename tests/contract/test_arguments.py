@@ -225,10 +225,10 @@ def test_an_array_without_rows_is_not_the_same_as_none(controller: Controller, n
 
 
 def test_a_plan_that_no_message_may_contain_is_none(controller: Controller) -> None:
-    # A vehicle that spins far outside the members' data; the plan would slide at 160 m/s.
-    spinning = np.array([0.0, 0.0, 37.64, 0.0, 0.67, -3.92, 0.24])
-    s = 37.0 * controller.dt * np.arange(controller.horizon + 1)
-    reference = np.column_stack([s, 0 * s, 0 * s + 37.0, 0 * s])
+    # A vehicle that spins far outside the members' data; the plan would slide at 630 m/s.
+    spinning = np.array([0.0, 0.0, 56.62, 0.0, -5.01, 3.98, -0.11])
+    s = 57.0 * controller.dt * np.arange(controller.horizon + 1)
+    reference = np.column_stack([s, 0 * s, 0 * s + 57.0, 0 * s])
     found = controller.step(spinning, reference)
     assert (found.status, found.reply is not None) == ("check_failed", True)
     assert len(found.weights) == 2

@@ -233,7 +233,9 @@ def test_a_narrow_terminal_shows_all_of_a_library(tmp_path: Path, columns: int) 
         # The lines of the properties above the tables may break within a number.
         tables = (shown.getvalue().partition("Surfaces")[2] for shown in (wide, narrow))
         in_wide, in_narrow = (Counter(re.findall(r"[-+.\de]*\d", text)) for text in tables)
-        assert in_wide == in_narrow
+        # Rows that become paragraphs repeat the heads of their columns.
+        assert in_wide <= in_narrow
+        assert set(in_narrow) == set(in_wide)
 
 
 def test_a_narrow_terminal_shows_rows_as_paragraphs() -> None:

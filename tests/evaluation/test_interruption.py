@@ -108,16 +108,61 @@ def test_results_cut_off_in_the_middle_hold_nobody_up() -> None:
     subprocess.run(command, check=True, timeout=2 * PATIENCE)
 
 
+# Each lap waits for a ticket, so that no evaluation ends before it is interrupted.
+TICKETS = """
+import time
+from pathlib import Path
+
+from egp_service import Plant
+
+
+def take() -> bool:
+    for ticket in Path("tickets").iterdir():
+        try:
+            ticket.unlink()
+        except FileNotFoundError:  # another process took it
+            continue
+        return True
+    return False
+
+
+class Car:
+    def __init__(self):
+        self._plant = Plant()
+
+    def reset(self, x):
+        while not take():
+            time.sleep(0.02)
+        p_x, p_y, v_x, psi, v_y, omega, delta = x
+        self._plant.reset(p_x, p_y, psi, v_x, yaw_rate=omega, v_y=v_y, delta=delta)
+
+    def step(self, u, dt, friction):
+        self._plant.step(u, dt, friction)
+
+    @property
+    def state(self):
+        return self._plant.vehicle_state
+"""
+
+
+def give(folder: Path, tickets: int) -> None:
+    for number in range(tickets):
+        (folder / "tickets" / str(number)).touch()
+
+
 @contextmanager
 def evaluation(folder: Path, *options: str) -> Iterator[subprocess.Popen[str]]:
     """Drive twelve laps of 750 m; a failure shows what was printed and what the threads did."""
+    (folder / "waiting_car.py").write_text(TICKETS, encoding="utf-8")
     track = folder / "circle.csv"
     angle = np.linspace(0.0, 2.0 * np.pi, 120, endpoint=False)
     rows = np.column_stack([120.0 * np.cos(angle), 120.0 * np.sin(angle), np.full((120, 2), 4.0)])
     np.savetxt(track, rows, delimiter=",", header="x_m,y_m,w_tr_right_m,w_tr_left_m")
     command = [sys.executable, "-X", "faulthandler", "-m", "egp_service", "evaluate"]
+    command += ["-e", "unseen-track", "--track", str(track), "--plant", "waiting_car:Car"]
     process = subprocess.Popen(
-        [*command, "-e", "unseen-track", "--track", str(track), "-o", str(folder), *options],
+        [*command, "-o", str(folder), *options],
+        cwd=folder,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -143,6 +188,7 @@ def _has_gone_on(process: subprocess.Popen[str], log: Path, size: int) -> bool:
 
 def test_an_evaluation_ends_with_its_processes_and_goes_on(tmp_path: Path) -> None:
     log = tmp_path / "runs.jsonl"
+    (tmp_path / "tickets").mkdir()
     finished = ""
     one = ("--jobs", "1")
     for send, sent, code, jobs in (
@@ -151,6 +197,7 @@ def test_an_evaluation_ends_with_its_processes_and_goes_on(tmp_path: Path) -> No
         (os.kill, signal.SIGKILL, -signal.SIGKILL, one),
     ):
         with evaluation(tmp_path, *jobs) as process:
+            give(tmp_path, 1)
             wait_until(partial(_has_gone_on, process, log, len(finished)), 5 * PATIENCE)
             with suppress(ProcessLookupError):
                 send(process.pid, sent)
@@ -163,6 +210,7 @@ def test_an_evaluation_ends_with_its_processes_and_goes_on(tmp_path: Path) -> No
         assert results.startswith(finished)
         finished = results
     with evaluation(tmp_path) as again:
+        give(tmp_path, 100)
         output, _ = again.communicate(timeout=5 * PATIENCE)
     assert again.returncode == 0, output
     results = log.read_text(encoding="utf-8")

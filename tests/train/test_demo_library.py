@@ -35,7 +35,7 @@ WORSE = 1.5
 CUT = {
     "runs = 8": "runs = 2",
     "samples = 300": "samples = 100",
-    "steady = 200": "steady = 70",
+    "steady = 300": "steady = 100",
     "episodes = 30": "episodes = 10",
     "max_points = 400": "max_points = 150",
     "first_points = 300": "first_points = 150",

@@ -69,7 +69,7 @@ def test_data_are_those_of_the_simulator_within_the_limits_of_its_car() -> None:
     data = collected("--plant", "slider_car:Car", "--jobs", "1")
     origin = data.provenance
     assert (origin.vehicle, origin.surface, origin.friction) == ("suv", "snow", 0.3)
-    methods = ("random sampling", "steady driving", "track")
+    methods = ("random sampling", "steady inputs", "track")
     assert origin.method == " + ".join(f"{it} in slider_car:Car" for it in methods)
     v_x, v_y, omega, delta, force, rate = data.z.T
     assert len(data) > 10_000
@@ -90,7 +90,7 @@ def test_data_are_those_of_the_simulator_within_the_limits_of_its_car() -> None:
 
 def test_random_states_can_be_left_out() -> None:
     data = collected("--plant", "slider_car:Car", "--jobs", "1", "--samples", "0")
-    method = "steady driving in slider_car:Car + track in slider_car:Car"
+    method = "steady inputs in slider_car:Car + track in slider_car:Car"
     assert data.provenance.method == method
 
 

@@ -1,7 +1,7 @@
 """Collection of a dataset of one surface in simulation, in parallel processes.
 
 Runs on tracks give the states of vehicles up to the limit, random states give unusual but possible
-ones, and steady driving gives constant inputs.
+ones, and steady inputs give constant speeds and strong drive from a low speed.
 The result does not depend on the number of processes.
 """
 
@@ -38,8 +38,8 @@ class CollectionSettings:
     """Number of runs on tracks."""
     samples: int = 300
     """Number of vehicles that start in random states."""
-    steady: int = 200
-    """Number of vehicles that drive steadily, at speeds in `sampling.v_x`."""
+    steady: int = 300
+    """Number of vehicles with steady inputs, at speeds up to that of `sampling.v_x`."""
     exploration: ExplorationSettings = dataclasses.field(default_factory=ExplorationSettings)
     sampling: SamplingBounds = dataclasses.field(default_factory=SamplingBounds)
 
@@ -49,7 +49,7 @@ class CollectionSettings:
             if (count := getattr(self, name)) < 0:
                 raise EgpError(f"{name} is {count}: expected a number of at least 0")
         if self.runs + self.samples + self.steady == 0:
-            raise EgpError("nothing to collect: ask for runs, samples or steady driving")
+            raise EgpError("nothing to collect: ask for runs, samples or steady inputs")
         if self.runs and not self.tracks:
             raise EgpError("runs need at least one track")
         for name in self.tracks:
@@ -81,7 +81,7 @@ def collect(
         parts.append(sample(experiment, settings.samples, settings.sampling))
         report(len(parts), total)
     if settings.steady:
-        parts.append(steady(experiment, settings.steady, settings.sampling.v_x))
+        parts.append(steady(experiment, settings.steady, settings.sampling.v_x[1]))
         report(len(parts), total)
     run = partial(_run, experiment, settings)
     with ExitStack() as stack:

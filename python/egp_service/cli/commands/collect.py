@@ -21,7 +21,7 @@ Value = TypeVar("Value")
 
 _RUNS = 6
 _SAMPLES = 300
-_STEADY = 200
+_STEADY = 300
 _VEHICLE = "1"  # number of CommonRoad
 _UNNAMED = "unnamed"  # vehicle of a log
 
@@ -115,8 +115,8 @@ def collect(
     """Collect drive data of one surface into a dataset.
 
     Drives the simulated car, or with --plant your simulator, on tracks, at
-    increasing speed and with exploration noise, from random states, and
-    steadily. With
+    increasing speed and with exploration noise, from random states, and with
+    steady inputs. With
     --samples 0 a simulator starts without slip only (docs/simulator.md
     describes simulators). With --from-log the command imports a log instead,
     which must contain time, v_x, v_y, omega, delta, and F_x or a_x. With columns
