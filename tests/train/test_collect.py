@@ -129,6 +129,9 @@ def test_steady_inputs_are_constant_and_cover_the_speeds() -> None:
     lateral = speeds * each[:, 0, 2] / (WET.mu * GRAVITY)
     assert lateral.min() < -0.4
     assert lateral.max() > 0.4
+    slow = speeds < WET.parameters.slip_speed
+    assert slow.sum() > 10
+    assert np.all(each[slow][:, :, 3] == 0.0)
 
 
 def test_steady_inputs_may_be_those_of_slow_cars_alone() -> None:

@@ -14,7 +14,6 @@ import numpy as np
 from egp_service._core import GRAVITY, EgpError
 from egp_service.data import constant_inputs
 from egp_service.data.driver import UNDERSTEER
-from egp_service.quantities import V_X
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -29,14 +28,14 @@ _MOVING: Final = 0.6  # m/s at the end of the strongest braking
 _LATERAL: Final = 0.6  # largest lateral acceleration, in units of mu * g
 _STRONG: Final = 0.5  # share of the vehicles whose largest acceleration is mu * g
 _GENTLE: Final = 1.0  # m/s², largest acceleration of the others
-_RADIUS: Final = 2.0  # smallest radius of a bend, wheelbases
 
 
 def steady(experiment: Experiment, count: int, fastest: float) -> Dataset:
     """Drive `count` vehicles with steady inputs that start at up to `fastest` m/s.
 
     Speed, lateral acceleration and force are drawn uniformly. Vehicles that spin or stop are left
-    out.
+    out. Those that become slower than `VehicleParameters.slip_speed` drive straight ahead: in bends
+    a single-track vehicle has slip there that a real one has not.
 
     Raises:
         EgpError: if the vehicle is unknown to the plant, or if every vehicle spun or stopped.
@@ -55,23 +54,15 @@ def _draw(
     experiment: Experiment, count: int, fastest: float, rng: np.random.Generator
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Draw states (count, 7) of bends without slip, and inputs [F_x, 0] (count, 2)."""
+    car, grip, duration = experiment.parameters, experiment.mu * GRAVITY, _SETTLE + _RECORDED
     v = rng.uniform(_SLOWEST, max(_SLOWEST, fastest), count)
-    grip = experiment.mu * GRAVITY
-    lateral = _LATERAL * grip * rng.uniform(-1.0, 1.0, count)
-    most = 1.0 / (_RADIUS * experiment.wheelbase)
-    curvature = np.clip(lateral / v**2, -most, most)
+    a = np.where(rng.random(count) < _STRONG, grip, _GENTLE) * rng.uniform(-1.0, 1.0, count)
+    weakest = np.maximum(car.a_min, (_MOVING - v) / duration)
+    a = np.clip(a, weakest, np.minimum(car.a_max, car.power / v))
+    curvature = _LATERAL * grip * rng.uniform(-1.0, 1.0, count) / v**2
+    curvature[v + np.minimum(a, 0.0) * duration < car.slip_speed] = 0.0
     delta = np.arctan(experiment.wheelbase * curvature) + UNDERSTEER * v**2 * curvature
     delta = np.clip(delta, -experiment.steering_stop, experiment.steering_stop)
     zero = np.zeros(count)
     states = np.column_stack([zero, zero, v, zero, zero, v * curvature, delta])
-    a = np.where(rng.random(count) < _STRONG, grip, _GENTLE) * rng.uniform(-1.0, 1.0, count)
-    return states, np.column_stack([experiment.mass * _possible(experiment, a, states), zero])
-
-
-def _possible(
-    experiment: Experiment, a: NDArray[np.float64], states: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Limit accelerations (count,) to those of the car, and braking to what does not stop it."""
-    car, v = experiment.parameters, states[:, V_X]
-    weakest = np.maximum(car.a_min, (_MOVING - v) / (_SETTLE + _RECORDED))
-    return np.clip(a, weakest, np.minimum(car.a_max, car.power / v))
+    return states, np.column_stack([experiment.mass * a, zero])
