@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -25,23 +26,27 @@ def drive(
     inputs: NDArray[np.float64],
     periods: tuple[int, int],
     method: str,
+    *,
+    sideslip: float = math.inf,
 ) -> Dataset | None:
     """Drive vehicles from states (count, 7) with the inputs (count, 2), and keep the last periods.
 
     `periods` are the numbers of those that are driven before, in which suspension and tyres reach
-    their state, and of those that are kept. Vehicles that spin or stop are left out; None if all
-    do. `method` is that of the provenance.
+    their state, and of those that are kept. Vehicles that spin or stop, or whose angle between
+    heading and course exceeds `sideslip` (rad), are left out; None if all are. `method` is that of
+    the provenance.
     """
     settle, keep = periods
     vehicle = experiment.simulated()
     driven = [
         _drive(experiment, vehicle, x, u, settle + keep) for x, u in zip(start, inputs, strict=True)
     ]
-    alive = [number for number, states in enumerate(driven) if states is not None]
+    kept = [states if _is_within(sideslip, states) else None for states in driven]
+    alive = [number for number, states in enumerate(kept) if states is not None]
     survivors = len(alive)
     if survivors == 0:
         return None
-    visible = np.array([states for states in driven if states is not None])[:, settle:, _VISIBLE]
+    visible = np.array([states for states in kept if states is not None])[:, settle:, _VISIBLE]
     repeated = np.repeat(inputs[alive][:, None, :], keep, axis=1)
     z = np.concatenate([visible[:, :-1], repeated], axis=2)
     return Dataset(
@@ -51,6 +56,13 @@ def drive(
         step=np.tile(np.arange(keep, dtype=np.uint32), survivors),
         provenance=experiment.provenance(method),
     )
+
+
+def _is_within(sideslip: float, states: NDArray[np.float64] | None) -> bool:
+    """Whether the vehicle of these states (n, 7) never slips more."""
+    if states is None:
+        return False
+    return bool(np.all(np.abs(np.arctan2(states[:, V_Y], states[:, V_X])) <= sideslip))
 
 
 def _drive(

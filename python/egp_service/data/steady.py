@@ -25,6 +25,7 @@ _SETTLE: Final = 0.5  # s of driving that is not recorded
 _RECORDED: Final = 0.5  # s
 _SLOWEST: Final = 1.0  # m/s at the start
 _MOVING: Final = 0.6  # m/s at the end of the strongest braking
+_SIDESLIP: Final = 0.2  # rad, largest angle between heading and course
 _LATERAL: Final = 0.6  # largest lateral acceleration, in units of mu * g
 _STRONG: Final = 0.5  # share of the vehicles whose largest acceleration is mu * g
 _GENTLE: Final = 1.0  # m/s², largest acceleration of the others
@@ -33,20 +34,22 @@ _GENTLE: Final = 1.0  # m/s², largest acceleration of the others
 def steady(experiment: Experiment, count: int, fastest: float) -> Dataset:
     """Drive `count` vehicles with steady inputs that start at up to `fastest` m/s.
 
-    Speed, lateral acceleration and force are drawn uniformly. Vehicles that spin or stop are left
+    Speed, lateral acceleration and force are drawn uniformly. Vehicles that slide or stop are left
     out. Those that become slower than `VehicleParameters.slip_speed` drive straight ahead: in bends
     a single-track vehicle has slip there that a real one has not.
 
     Raises:
-        EgpError: if the vehicle is unknown to the plant, or if every vehicle spun or stopped.
+        EgpError: if the vehicle is unknown to the plant, or if every vehicle slid or stopped.
 
     """
     rng = np.random.default_rng((experiment.seed, count))
     start, inputs = _draw(experiment, count, fastest, rng)
     settle, recorded = (max(1, round(time / experiment.dt)) for time in (_SETTLE, _RECORDED))
-    data = constant_inputs.drive(experiment, start, inputs, (settle, recorded), "steady inputs")
+    data = constant_inputs.drive(
+        experiment, start, inputs, (settle, recorded), "steady inputs", sideslip=_SIDESLIP
+    )
     if data is None:
-        raise EgpError(f"all {count} vehicles with steady inputs spun or stopped: leave them out")
+        raise EgpError(f"all {count} vehicles with steady inputs slid or stopped: leave them out")
     return data
 
 
