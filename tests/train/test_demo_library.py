@@ -105,9 +105,9 @@ def test_recipe_refuses_unknown_fields(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("stated", "other", "message"),
     [
-        ("seed = 1", "seed = -1", "seed is -1: expected a whole number"),
-        ("seed = 0", "seed = -1", "seed is -1: expected a whole number"),
-        ("seed = 0", "seed = 0.5", "training: seed must be a whole number, got 0.5"),
+        ("seed = 101", "seed = -1", "seed is -1: expected a whole number"),
+        ("seed = 1\n", "seed = -1\n", "seed is -1: expected a whole number"),
+        ("seed = 1\n", "seed = 0.5\n", "training: seed must be a whole number, got 0.5"),
         ("laps = 24", "grip = 0.9", "grip must be an array of 2 values, got 0.9"),
         ("laps = 24", "grip = [0.9]", r"grip must be an array of 2 values, got \[0.9\]"),
         ("laps = 24", "grip = [0.9, 0.0]", "expected two fractions above 0"),
