@@ -39,14 +39,14 @@ def drive(
     settle, keep = periods
     vehicle = experiment.simulated()
     driven = [
-        _drive(experiment, vehicle, x, u, settle + keep) for x, u in zip(start, inputs, strict=True)
+        _drive(experiment, vehicle, x, u, settle + keep, sideslip=sideslip)
+        for x, u in zip(start, inputs, strict=True)
     ]
-    kept = [states if _is_within(sideslip, states) else None for states in driven]
-    alive = [number for number, states in enumerate(kept) if states is not None]
+    alive = [number for number, states in enumerate(driven) if states is not None]
     survivors = len(alive)
     if survivors == 0:
         return None
-    visible = np.array([states for states in kept if states is not None])[:, settle:, _VISIBLE]
+    visible = np.array([states for states in driven if states is not None])[:, settle:, _VISIBLE]
     repeated = np.repeat(inputs[alive][:, None, :], keep, axis=1)
     z = np.concatenate([visible[:, :-1], repeated], axis=2)
     return Dataset(
@@ -58,23 +58,18 @@ def drive(
     )
 
 
-def _is_within(sideslip: float, states: NDArray[np.float64] | None) -> bool:
-    """Whether the vehicle of these states (n, 7) never slips more."""
-    if states is None:
-        return False
-    return bool(np.all(np.abs(np.arctan2(states[:, V_Y], states[:, V_X])) <= sideslip))
-
-
 def _drive(
     experiment: Experiment,
     vehicle: SimulatedVehicle,
     x: NDArray[np.float64],
     u: NDArray[np.float64],
     periods: int,
+    *,
+    sideslip: float,
 ) -> NDArray[np.float64] | None:
     """Drive from the state x (7,) with the input u (2,); return the states (periods + 1, 7).
 
-    None if the vehicle spun or stopped.
+    None if the vehicle spun, stopped, or slipped by more than `sideslip`.
     """
     vehicle.reset(x)
     states = [vehicle.state]
@@ -84,6 +79,7 @@ def _drive(
         except VehicleLostError:
             return None
         states.append(vehicle.state)
-        if states[-1][V_X] <= _STANDSTILL:
+        v_x, v_y = states[-1][V_X], states[-1][V_Y]
+        if v_x <= _STANDSTILL or abs(math.atan2(v_y, v_x)) > sideslip:
             return None
     return np.array(states)
