@@ -5,14 +5,15 @@ from __future__ import annotations
 import json
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from typer.testing import CliRunner
 
 from egp_service import simulation
 from egp_service.cli import app
-from egp_service.cli.demo import LAPS, SCENARIO, TOLD, drive_laps
+from egp_service.cli.demo import LAPS, SCENARIO, TOLD, Lap, drive_laps
 
 if TYPE_CHECKING:
     import pytest
@@ -36,6 +37,27 @@ def test_the_demo_drives_every_lap(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         summary = json.loads((lap.folder / "summary.json").read_text(encoding="utf-8"))
         assert summary["ending"]["completed"], lap.label
         assert (lap.folder / "run.mcap").exists(), lap.label
+
+
+def test_a_member_alone_may_lose_its_lap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scenario = Path(simulation.__file__).parent / f"scenarios/{SCENARIO}.toml"
+    (tmp_path / "short.toml").write_text(f"laps = 0.03\n{scenario.read_text(encoding='utf-8')}")
+    module = sys.modules["egp_service.cli.demo"]
+    monkeypatch.setattr(module, "SCENARIO", str(tmp_path / "short.toml"))
+
+    def lost_with(lap: Lap) -> Lap:
+        ending = replace(lap.run.summary.ending, completed=False, reason="slid off the road")
+        summary = replace(lap.run.summary, ending=ending)
+        return replace(lap, run=replace(lap.run, summary=summary))
+
+    def drive(*arguments: Any) -> list[Lap]:  # noqa: ANN401 - those of the function
+        return [lost_with(lap) if lap.alone else lap for lap in drive_laps(*arguments)]
+
+    monkeypatch.setattr(module, "drive_laps", drive)
+    result = CliRunner().invoke(app, ["demo", "-o", str(tmp_path / "runs")])
+    assert result.exit_code == 0, result.output
+    assert "Not completed: told, μ 0.5, told, μ 1.1." in " ".join(result.output.split())
+    assert "The first lap, planned for the estimated friction, takes" in result.output
 
 
 def test_laps_that_were_not_completed_show_in_the_exit_status(

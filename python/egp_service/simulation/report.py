@@ -117,8 +117,7 @@ def draw_comparison(runs: Sequence[tuple[str, Run]], path: FilePath) -> FilePath
 
 
 def _comparison_figure(runs: Sequence[tuple[str, Run]]) -> Figure:
-    width = min(4.2 * len(runs), 12.5)
-    figure = plt.figure(figsize=(width, 5.4))
+    figure = plt.figure(figsize=(min(4.2 * len(runs), 12.5), 5.4))
     rows = figure.add_gridspec(2, len(runs), height_ratios=(1.25, 1.0))
     driven = np.concatenate([run.trace.x[:, V_X] for _, run in runs])
     speeds = Normalize(float(driven.min()), float(driven.max()))
@@ -131,7 +130,7 @@ def _comparison_figure(runs: Sequence[tuple[str, Run]]) -> Figure:
             if ending.completed
             else ending.reason.split(":")[0]
         )
-        title = f"{label}\n{fill(verdict, round(_CHARACTERS * width / len(runs)))}"
+        title = f"{label}\n{fill(verdict, round(_CHARACTERS * figure.get_figwidth() / len(runs)))}"
         ax.set_title(title, color=INK if ending.completed else ALARM, pad=12.0)
     figure.colorbar(lines, ax=axes, label="speed [m/s]", shrink=0.7, aspect=20)
     ax = figure.add_subplot(rows[1, :])
