@@ -29,8 +29,8 @@ SHIPPED = DEMO_RECIPE.with_name("demo-library.safetensors")
 WORSE = 1.5
 
 
-# Sizes that are cut in `make test`: every stage of the recipe is kept. Measured with them: errors of
-# at most 1.20 times the shipped library's, coverage of 0.93 and more, and rollouts to 0.13 m/s,
+# Sizes that are cut in `make test`: every stage of the recipe is kept. Measured with them: errors
+# of at most 1.20 times the shipped library's, coverage of 0.93 and more, and rollouts to 0.13 m/s,
 # 0.05 m/s and 0.03 rad/s.
 CUT = {
     "runs = 8": "runs = 2",
