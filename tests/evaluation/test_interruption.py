@@ -152,11 +152,11 @@ def give(folder: Path, tickets: int) -> None:
 
 @contextmanager
 def evaluation(folder: Path, *options: str) -> Iterator[subprocess.Popen[str]]:
-    """Drive twelve laps of 750 m; a failure shows what was printed and what the threads did."""
+    """Drive twelve laps of 250 m; a failure shows what was printed and what the threads did."""
     (folder / "waiting_car.py").write_text(TICKETS, encoding="utf-8")
     track = folder / "circle.csv"
     angle = np.linspace(0.0, 2.0 * np.pi, 120, endpoint=False)
-    rows = np.column_stack([120.0 * np.cos(angle), 120.0 * np.sin(angle), np.full((120, 2), 4.0)])
+    rows = np.column_stack([40.0 * np.cos(angle), 40.0 * np.sin(angle), np.full((120, 2), 4.0)])
     np.savetxt(track, rows, delimiter=",", header="x_m,y_m,w_tr_right_m,w_tr_left_m")
     command = [sys.executable, "-X", "faulthandler", "-m", "egp_service", "evaluate"]
     command += ["-e", "unseen-track", "--track", str(track), "--plant", "waiting_car:Car"]

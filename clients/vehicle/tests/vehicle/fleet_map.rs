@@ -1,5 +1,4 @@
 //! Vehicles that exchange what they measured through a real map service.
-#![allow(clippy::unwrap_used, missing_docs)]
 
 use std::sync::{Arc, Mutex};
 use std::thread::sleep;

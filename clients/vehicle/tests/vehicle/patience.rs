@@ -1,5 +1,4 @@
 //! How long a vehicle waits for a service.
-#![allow(clippy::unwrap_used, missing_docs)]
 
 use std::time::Duration;
 
@@ -7,10 +6,7 @@ use egp_service::{Server, ServiceConfig};
 use egp_testing::ports::free_endpoint;
 use egp_vehicle::{GateLimits, VehicleClient, VehicleConfig, VehicleParameters};
 
-const LIBRARY: &str = concat!(
-    env!("CARGO_MANIFEST_DIR"),
-    "/../../python/egp_service/shipped/demo-library.safetensors"
-);
+use crate::LIBRARY;
 
 #[test]
 fn a_vehicle_may_wait_without_an_end() {

@@ -1,5 +1,4 @@
 //! A vehicle whose service stops and starts again.
-#![allow(clippy::unwrap_used, clippy::panic, missing_docs)]
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -16,10 +15,7 @@ use prost::Message as _;
 use serde_json::Value;
 use zenoh::Wait as _;
 
-const LIBRARY: &str = concat!(
-    env!("CARGO_MANIFEST_DIR"),
-    "/../../python/egp_service/shipped/demo-library.safetensors"
-);
+use crate::LIBRARY;
 
 /// The limits of the car that the demo library was trained for.
 fn limits() -> GateLimits {
