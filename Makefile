@@ -65,7 +65,7 @@ deny: ## Check licences, sources and advisories of the Rust crates, with cargo-d
 # extension was built with is not compiled again.
 CARGO_TEST := MAKEFLAGS= cargo test --release --locked --workspace --exclude egp-bench
 # Without the examples, which clippy checks, and which the tests that run them build.
-RUST_TESTS := --lib --bins --tests
+RUST_TESTS := --tests
 rust-test: .venv/built-dev ## Run the Rust tests
 	$(CARGO_TEST) $(RUST_TESTS)
 	$(CARGO_TEST) --doc
