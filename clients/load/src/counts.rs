@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use egp_wire::{Code, Reply, Status, Timing, WireError, code_name, status_name};
@@ -17,7 +17,7 @@ pub(crate) struct Counts {
     pub(crate) outcomes: BTreeMap<String, u64>,
     /// Requests of each vehicle, and those of them whose plan came in time.
     pub(crate) vehicles: Vec<[u64; 2]>,
-    /// Time from when a request was due to its answer, late answers and errors included.
+    /// Time from when a request was due to its reply, also to a late one; requests that were refused have none.
     pub(crate) latency: Micros,
     /// Time in the service's queue.
     pub(crate) queue: Micros,
@@ -34,8 +34,8 @@ pub(crate) struct Sent {
     pub(crate) budget: Duration,
     pub(crate) counts: Arc<Mutex<Counts>>,
     pub(crate) answered: AtomicBool,
-    /// When the first error came that a copy of the request may have got while another copy is answered.
-    pub(crate) copied: OnceLock<Duration>,
+    /// Whether an error came that a copy of the request may have got while another copy is answered.
+    pub(crate) copied: AtomicBool,
 }
 
 impl Sent {
@@ -49,7 +49,7 @@ impl Sent {
             Err(_) => "unusable".to_owned(),
         };
         let timing = (!attachment.is_empty()).then(|| Timing::decode(attachment).ok());
-        self.count(outcome, Some(latency), timing.flatten());
+        self.count(outcome, status.is_ok().then_some(latency), timing.flatten());
     }
 
     /// Counts an error reply with this payload; zenoh's own errors are no `egp.v1.Error`.
@@ -57,12 +57,9 @@ impl Sent {
     /// Two routers deliver a request twice, and the service answers one of the copies with an error that says so. Such an
     /// error counts only if the query ends without another answer.
     pub(crate) fn refused(&self, payload: &[u8]) {
-        let latency = self.due.elapsed();
         match WireError::decode(payload).map(|error| error.code) {
-            Ok(Code::Superseded) => {
-                let _ = self.copied.set(latency); // the first one stays
-            }
-            Ok(code) => self.count(refused(code), Some(latency), None),
+            Ok(Code::Superseded) => self.copied.store(true, Ordering::Relaxed),
+            Ok(code) => self.count(refused(code), None, None),
             Err(_) => self.count("timeout".to_owned(), None, None),
         }
     }
@@ -93,10 +90,12 @@ impl Sent {
 
 impl Drop for Sent {
     fn drop(&mut self) {
-        match self.copied.get() {
-            Some(latency) => self.count(refused(Code::Superseded), Some(*latency), None),
-            None => self.count("no answer".to_owned(), None, None),
-        }
+        let outcome = if *self.copied.get_mut() {
+            refused(Code::Superseded)
+        } else {
+            "no answer".to_owned()
+        };
+        self.count(outcome, None, None);
     }
 }
 
@@ -118,11 +117,12 @@ mod tests {
             budget: Duration::from_secs(3600),
             counts: counts.clone(),
             answered: AtomicBool::new(false),
-            copied: OnceLock::new(),
+            copied: AtomicBool::new(false),
         }
     }
 
-    /// What is counted after error replies with these codes, and a reply behind them if there is one.
+    /// What is counted after error replies with these codes, and a reply behind them if there is one. Only the reply has a
+    /// latency.
     fn counted(codes: &[Code], reply: Option<&Reply>) -> Vec<(String, u64)> {
         let counts = Arc::new(Mutex::new(Counts::default()));
         let sent = sent(&counts);
@@ -134,7 +134,7 @@ mod tests {
         }
         drop(sent);
         let counts = counts.lock().unwrap();
-        let latencies = u64::from(!counts.outcomes.contains_key("no answer"));
+        let latencies = u64::from(counts.outcomes.contains_key("solved"));
         assert_eq!(counts.latency.len(), latencies);
         counts.outcomes.clone().into_iter().collect()
     }

@@ -45,9 +45,10 @@ changing friction, and the gate. The plant is the built-in car: a service
 that plans for another vehicle is loaded with --requests. Requests are sent
 on a fixed schedule (every control period of the library), whether or not the
 last one was answered, and latency is measured from when a request was due,
-so that a slow service cannot slow down its own test. A request without an
-answer counts as slower than all others: a quantile that falls on one is inf,
-and null in JSON. The vehicles' schedules are spread evenly over the period.
+so that a slow service cannot slow down its own test. A request that gets no
+reply or is refused counts as slower than all others: a quantile that falls on
+one is inf, and null in JSON. The vehicles' schedules are spread evenly over
+the period.
 
 A period is a miss if no solved plan came within the budget. The gate then
 continues with the last plan (tail) and finally stops the vehicle; stopped,

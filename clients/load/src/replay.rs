@@ -1,7 +1,7 @@
 //! Recorded requests, sent again on a fixed schedule without a plant; no other file of this crate uses zenoh.
 
 use std::sync::atomic::AtomicBool;
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -131,7 +131,7 @@ impl<'a> Replay<'a> {
                     budget: self.budget,
                     counts: counts.clone(),
                     answered: AtomicBool::new(false),
-                    copied: OnceLock::new(),
+                    copied: AtomicBool::new(false),
                 };
                 if let Some(request) = self.requests.get(at) {
                     ask(session, key, request.clone(), sent);
@@ -266,7 +266,7 @@ mod tests {
                 budget: Duration::from_millis(999),
                 counts: counts.clone(),
                 answered: AtomicBool::new(false),
-                copied: OnceLock::new(),
+                copied: AtomicBool::new(false),
             };
             ask(&client, "a", ZBytes::default(), sent);
             while counts.lock().unwrap().outcomes.is_empty() {

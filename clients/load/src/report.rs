@@ -38,8 +38,8 @@ impl Quantiles {
         Self::of_requests(times, times.len())
     }
 
-    /// Quantiles over all `requests`. Those without a recorded time had no answer and count as slower than all others: they
-    /// would otherwise make a service that is silent look fast.
+    /// Quantiles over all `requests`. Those without a recorded time had no reply or were refused, and count as slower than all
+    /// others: they would otherwise make a service that is silent or overloaded look fast.
     pub(crate) fn of_requests(times: &Micros, requests: u64) -> Self {
         let count = times.len();
         let quantile = |quantile: f64| {
@@ -137,7 +137,7 @@ impl fmt::Display for Report {
         if self.latency_ms.max.is_infinite() {
             writeln!(
                 f,
-                "inf: requests without an answer, which count as slower than all others"
+                "inf: requests without a reply or refused, which count as slower than all others"
             )?;
         }
         let outcomes: Vec<String> = self

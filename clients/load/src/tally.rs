@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use egp_simulator::Period;
-use egp_vehicle::{Mode, Outcome};
+use egp_vehicle::{Mode, Outcome, Step};
 use hdrhistogram::Histogram;
 
 /// A histogram of microseconds from 1 to a minute with three exact digits.
@@ -49,8 +49,8 @@ pub(crate) struct Tally {
     pub(crate) outcomes: BTreeMap<String, u64>,
     /// Number of commands by their mode: normal, tail, stop, waiting.
     pub(crate) modes: [u64; 4],
-    /// Time from when a request was due to its answer, for late answers from when it was sent; requests without an answer
-    /// have none.
+    /// Time from when a request was due to its reply, for late replies from when it was sent; requests without a reply, and
+    /// those that were refused, have none.
     pub(crate) latency: Micros,
     /// Time in the service's queue.
     pub(crate) queue: Micros,
@@ -76,9 +76,7 @@ impl Tally {
             Mode::Waiting => 3,
         }] += 1;
         self.lag.record(lag);
-        let in_time = step.latency.map(|latency| lag + latency);
-        let late = step.late.iter().map(|late| late.latency);
-        for latency in late.chain(in_time) {
+        for latency in latencies(step, lag) {
             self.latency.record(latency);
         }
         if let Some(timing) = &step.timing {
@@ -111,10 +109,60 @@ impl Tally {
     }
 }
 
+/// The latencies of the replies that a step has, `lag` after its request was due.
+fn latencies(step: &Step, lag: Duration) -> impl Iterator<Item = Duration> {
+    let late = step.late.iter().map(|late| late.latency);
+    let in_time = step.reply.as_ref().and(step.latency);
+    late.chain(in_time.map(|latency| lag + latency))
+}
+
 /// The outcome in one word, with the code of an error reply: `solved`, `infeasible`, `late`, `refused: too_late`.
 fn name(outcome: &Outcome) -> String {
     match outcome {
         Outcome::Refused(error) => format!("refused: {}", error.code_name()),
         other => other.name().to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use egp_testing::messages;
+    use egp_vehicle::{Command, Late};
+    use egp_wire::{Code, Status, WireError};
+
+    use super::*;
+
+    const MS: Duration = Duration::from_millis(1);
+
+    #[test]
+    fn only_replies_have_a_latency() {
+        let mut step = Step {
+            command: Command {
+                u: [0.0; 2],
+                mode: Mode::Tail,
+                limited: false,
+            },
+            outcome: Outcome::Refused(WireError::permanent(Code::TooLate, "")),
+            replica: None,
+            request: Vec::new(),
+            reply: None,
+            reply_bytes: Vec::new(),
+            latency: Some(MS),
+            timing: None,
+            late: Vec::new(),
+            asked: 1,
+            situation: None,
+            lost: None,
+            held_up: 0,
+        };
+        assert_eq!(latencies(&step, MS).next(), None);
+        step.late.push(Late {
+            latency: 30 * MS,
+            reply_bytes: Vec::new(),
+        });
+        assert_eq!(latencies(&step, MS).collect::<Vec<_>>(), [30 * MS]);
+        step.outcome = Outcome::Replied(Status::Solved);
+        step.reply = Some(messages::solved_reply());
+        assert_eq!(latencies(&step, MS).collect::<Vec<_>>(), [30 * MS, 2 * MS]);
     }
 }

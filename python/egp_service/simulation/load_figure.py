@@ -23,7 +23,8 @@ def draw_load(report_file: Path, path: Path) -> None:
 
     `report_file` is the JSON of `egp load --replay`. The knee, the most vehicles that held the
     fraction of `--ramp`, is a vertical line if a rate beyond it was measured. Latencies in ms count
-    from when a request was due.
+    from when a request was due. Quantiles that fall on requests without a reply, or on refused
+    ones, are left out.
     """
     report = json.loads(report_file.read_text(encoding="utf-8"))
     with plt.style.context(STYLE):
