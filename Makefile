@@ -21,7 +21,7 @@ demo: .venv/built-viz ## Set up, then drive six laps over three surfaces and dra
 # the processor, which get only what the former leave: on Linux as idle tasks, which anything else displaces at once.
 test: .venv/built-dev ## Set up and pass every check: format, lint, types, Rust and Python tests
 	$(MAKE) --jobs=2 lint instructions
-	$(CARGO_TEST) $(RUST_TESTS) --no-run
+	$(CARGO_TEST) --no-run
 	$(MAKE) --jobs=2 timed-tests busy-tests
 
 bench: .venv/built-bench ## Run the benchmarks
@@ -64,11 +64,8 @@ deny: ## Check licences, sources and advisories of the Rust crates, with cargo-d
 # The same profile as the extension, and without criterion, which changes the features of zenoh's dependencies: what the
 # extension was built with is not compiled again.
 CARGO_TEST := MAKEFLAGS= cargo test --release --locked --workspace --exclude egp-bench
-# Without the examples, which clippy checks, and which the tests that run them build.
-RUST_TESTS := --tests
 rust-test: .venv/built-dev ## Run the Rust tests
-	$(CARGO_TEST) $(RUST_TESTS)
-	$(CARGO_TEST) --doc
+	$(CARGO_TEST)
 
 # The tests in these folders have deadlines to keep, and mostly wait: two files of them run at a time.
 TIMED := tests/conformance tests/service tests/monitor tests/ros2
