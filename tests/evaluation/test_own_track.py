@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import re
 from typing import TYPE_CHECKING
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from typer.testing import CliRunner
 
 from egp_service import EgpError
 from egp_service.cli import app
-from egp_service.evaluation import experiments
+from egp_service.evaluation import experiments, summary_report
 from egp_service.evaluation.campaign import SHOWN_CONTENDERS, fingerprint
 from egp_service.evaluation.contenders import ENSEMBLE, ORACLE
 from egp_service.evaluation.experiments import EXPERIMENTS, on_track
@@ -57,7 +58,14 @@ def test_one_command_drives_a_circuit_of_ones_own(
     file = tmp_path / "oval.csv"
     write_centre_line(file, 3.2)
     arguments = ["evaluate", "-e", "unseen-track", "--track", str(file), "--scale", "10"]
-    result = CliRunner().invoke(app, [*arguments, "-o", str(tmp_path / "out")])
+    arguments += ["-o", str(tmp_path / "out")]
+    with monkeypatch.context() as patch:
+        patch.setattr(summary_report, "write_report", Mock(side_effect=KeyboardInterrupt))
+        interrupted = CliRunner().invoke(app, arguments)
+    assert interrupted.exit_code != 0
+    told = "Interrupted. The same command goes on with the report of the finished runs."
+    assert told in " ".join(interrupted.output.split())
+    result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output
     text = (tmp_path / "out" / "runs.csv").read_text(encoding="utf-8")
     runs = list(csv.DictReader(text.splitlines()))

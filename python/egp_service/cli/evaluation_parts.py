@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,7 @@ from egp_service.evaluation.entry_speed import EntrySpeed, find
 from egp_service.evaluation.experiments import HIDDEN_ICE
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
     from rich.console import Console
@@ -38,6 +40,17 @@ class Selection:
     """Experiments each of whose trials consists of several drives."""
 
 
+@contextmanager
+def told(console: Console, how_to_continue: str) -> Iterator[None]:
+    """Print how to go on after whatever ends what is done within this context."""
+    try:
+        yield
+    except BaseException as error:
+        interrupted = "" if isinstance(error, Exception) else "Interrupted. "
+        console.print(f"{interrupted}{how_to_continue}")
+        raise
+
+
 def run(
     console: Console,
     campaign: Campaign,
@@ -56,13 +69,8 @@ def run(
         parts["runs"] = _runs(progress, campaign, selection.driven, full=full)
         for e in selection.apart:
             parts[e.name] = _apart(progress, campaign, e, full=full)
-        try:
+        with told(progress.console, "The same command continues with the missing runs."):
             finish(list(parts.values()), jobs, cluster)
-        except BaseException as error:
-            interrupted = "" if isinstance(error, Exception) else "Interrupted. "
-            told = "The same command continues with the missing runs."
-            progress.console.print(f"{interrupted}{told}")
-            raise
     return {name: part.results() for name, part in parts.items()}
 
 
