@@ -123,7 +123,7 @@ class Bench:
         subprocess.run([*EGP, "load", *options], check=True, capture_output=True)
         report: dict[str, Any] = json.loads(result.read_text(encoding="utf-8"))
         rate: dict[str, Any] = report["rates"][0] if replay else report
-        # Quantiles that fall on requests without an answer are null.
+        # Quantiles that fall on requests without a reply, or on refused ones, are null.
         quantiles = rate["latency_ms"]
         rate["latency_ms"] = {k: math.inf if v is None else v for k, v in quantiles.items()}
         return rate

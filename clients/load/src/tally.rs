@@ -109,7 +109,7 @@ impl Tally {
     }
 }
 
-/// The latencies of the replies that a step has, `lag` after its request was due.
+/// The latencies of the replies in a step, which began `lag` after its request was due.
 fn latencies(step: &Step, lag: Duration) -> impl Iterator<Item = Duration> {
     let late = step.late.iter().map(|late| late.latency);
     let in_time = step.reply.as_ref().and(step.latency);

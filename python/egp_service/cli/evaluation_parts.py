@@ -41,13 +41,13 @@ class Selection:
 
 
 @contextmanager
-def told(console: Console, how_to_continue: str) -> Iterator[None]:
-    """Print how to go on after whatever ends what is done within this context."""
+def advising(console: Console, advice: str) -> Iterator[None]:
+    """Print the advice how to continue if an error or an interruption ends the work inside."""
     try:
         yield
     except BaseException as error:
         interrupted = "" if isinstance(error, Exception) else "Interrupted. "
-        console.print(f"{interrupted}{how_to_continue}")
+        console.print(f"{interrupted}{advice}")
         raise
 
 
@@ -69,7 +69,7 @@ def run(
         parts["runs"] = _runs(progress, campaign, selection.driven, full=full)
         for e in selection.apart:
             parts[e.name] = _apart(progress, campaign, e, full=full)
-        with told(progress.console, "The same command continues with the missing runs."):
+        with advising(progress.console, "The same command continues with the missing runs."):
             finish(list(parts.values()), jobs, cluster)
     return {name: part.results() for name, part in parts.items()}
 

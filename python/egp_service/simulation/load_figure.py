@@ -23,8 +23,8 @@ def draw_load(report_file: Path, path: Path) -> None:
 
     `report_file` is the JSON of `egp load --replay`. The knee, the most vehicles that held the
     fraction of `--ramp`, is a vertical line if a rate beyond it was measured. Latencies in ms count
-    from when a request was due. Quantiles that fall on requests without a reply, or on refused
-    ones, are left out.
+    from when a request was due. A triangle above a rate says that the quantiles which are not drawn
+    there fall on requests without a reply or on refused ones.
     """
     report = json.loads(report_file.read_text(encoding="utf-8"))
     with plt.style.context(STYLE):
@@ -76,6 +76,11 @@ def _latency(ax: Axes, report: Mapping[str, Any]) -> None:
         ax.plot(offered, times, "o-", color=colour, label=label, ms=4)
     lag = [rate["generator_lag_ms"]["p99"] for rate in rates]
     ax.plot(offered, lag, "s--", color=MUTED, label="generator's lag, 99 %", ms=4)
+    ends = [r["requests_per_second"] for r in rates if r["latency_ms"][_QUANTILES[-1][0]] is None]
+    if ends:
+        above, edge = [1.03] * len(ends), ax.get_xaxis_transform()  # in heights of the axes
+        (triangles,) = ax.plot(ends, above, "^", color=ALARM, transform=edge, ms=5, clip_on=False)
+        triangles.set_label("others: no reply, or refused")
     period = 1e3 * report["period_s"]
     ax.axhline(period, color=ALARM, linewidth=0.9)
     ax.text(offered[0], 1.1 * period, "control period", color=ALARM)

@@ -226,16 +226,16 @@ def _write(
     import shlex
     import sys
 
-    from egp_service.cli.evaluation_parts import told
+    from egp_service.cli.evaluation_parts import advising
     from egp_service.cli.progress import counted
     from egp_service.cli.tables import headline_table
     from egp_service.evaluation.experiments import HIDDEN_ICE, OBSTACLE_AVOIDANCE
     from egp_service.evaluation.summary_report import HEADLINE, headline, why_lost, write_report
 
-    with told(console, "The same command goes on with the report of the finished runs."):
+    ice = results.get(HIDDEN_ICE.name, [])
+    with advising(console, "The same command goes on with the report of the finished runs."):
         timed = "step-times" in selection.chosen
         times = _step_times(console, source, plant, output, full=selection.full) if timed else []
-        ice = results.get(HIDDEN_ICE.name, [])
         shown = [e for e in selection.driven if e.name in _SHOWN]
         with counted(console, "driving the runs of the pictures", "runs") as driven_so_far:
             drives = campaign.drives(shown, driven_so_far, jobs=jobs, cluster=cluster)
