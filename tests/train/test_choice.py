@@ -105,9 +105,9 @@ def test_a_fit_ends_where_a_step_began_that_leads_to_no_covariance(
 
         with monkeypatch.context() as patch:
             patch.setattr(sparse, "_bound", failing)
-            fit_sparse(process, z, y, 10, lambda _, loss: losses.append(loss))
+            fit_sparse([process], z, [y], 10, lambda _, loss: losses.append(loss))
         with torch.no_grad(), exact():
-            return losses, float(-bound(process, z, y) / len(y))
+            return losses, float(-bound([process], z, [y]) / len(y))
 
     every, last = fitted(np.inf)
     assert last < every[0]

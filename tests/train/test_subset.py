@@ -147,7 +147,7 @@ def test_does_not_collect_the_noisiest() -> None:
     assert noisy[careful].mean() < noisy.mean()
     # A member is trained on this choice.
     settings = TrainingSettings(max_points=400, first_points=50, max_iterations=3, restarts=0)
-    member = exact_member((data, data), None, settings, np.random.default_rng(1), lambda *_: None)
+    member = exact_member((data, data), settings, np.random.default_rng(1), lambda *_: None)
     kept = (member.inputs[:, None, 1] == data.z[noisy, 1]).any(axis=1)
     assert kept.mean() < noisy.mean()
 

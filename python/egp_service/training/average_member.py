@@ -160,7 +160,7 @@ def _fit(
         def on_step(iteration: int, loss: float, j: int = j, name: str = name) -> None:
             report(f"sparse fit of {name}", loss, j * ITERATIONS + iteration + 1)
 
-        fit_sparse(process, z[rows], y[rows, j], ITERATIONS, on_step)
+        fit_sparse([process], z[rows], [y[rows, j]], ITERATIONS, on_step)
         processes.append(process)
     chosen = rows[select(z[rows], processes, count, rng)]
     return chosen, [process.hyperparameters for process in processes]

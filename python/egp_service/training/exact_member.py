@@ -1,12 +1,8 @@
-"""A member whose exact processes are fitted to some of the transitions.
+"""A member whose exact processes predict the whole change, as in the paper.
 
-The processes correct a vehicle, or predict the whole change as in the paper. Corrections are small
-beside the noise that a single transition has from states that are not measured, such as roll and
-the speed of the wheels. Once the hyperparameters are fitted, their targets are therefore replaced
-by averages over all transitions (`sparse`). On held-out data of the demo's recipe the RMS error of
-the change of v_y fell from 0.35 to 0.27 m/s² on friction 0.5, and from 0.35 to 0.32 m/s² on 1.1. In
-steady bends on 0.5, at 20 to 80 % of the grip, this change was predicted too far inwards by 0.08 to
-0.12 m/s² in the mean, and is by at most 0.03 m/s² now.
+Each output has a constant mean, a kernel and a noise of its own. The lengthscales are fitted on a
+random subset, the transitions to keep are chosen with them (`subset`), and the processes are fitted
+on these.
 """
 
 from __future__ import annotations
@@ -15,20 +11,16 @@ import math
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-import torch
 
 from egp_service._core import EgpError
 from egp_service.quantities import GP_OUTPUT, NY, NZ
 from egp_service.training.gaussian_process import (
-    CORRECTIONS,
     WHOLE_CHANGES,
     Hyperparameters,
     OutputProcess,
     fit,
-    share_kernel,
 )
 from egp_service.training.prior_mean import PriorMean
-from egp_service.training.sparse import average_targets
 from egp_service.training.subset import select, spikes
 from egp_service.training.trained import Scaling, TrainedMember
 
@@ -39,20 +31,17 @@ if TYPE_CHECKING:
 
     from egp_service.data.dataset import Dataset
     from egp_service.training.train import TrainingSettings
-    from egp_service.training.vehicle_fit import FittedVehicle
 
 
 def exact_member(
     part: tuple[Dataset, Dataset],
-    fitted: FittedVehicle | None,
     settings: TrainingSettings,
     rng: np.random.Generator,
     report: Callable[[str, float, int], None],
 ) -> TrainedMember:
     """Train a member on training data, with the held-out ones in `part`.
 
-    The prior mean is the fitted vehicle, or constants without one. `report` gets the stage, the
-    loss and the number of iterations so far.
+    `report` gets the stage, the loss and the number of iterations so far.
 
     Raises:
         EgpError: if a fit fails.
@@ -60,37 +49,26 @@ def exact_member(
     """
     data, validation = part
     label = data.provenance.surface
-    mean, rest, bounds = PriorMean(), data.y, WHOLE_CHANGES
-    if fitted is not None:
-        mean = PriorMean(single_track=fitted.values, steps=fitted.steps)
-        rest = data.y - mean.predict(data.z, data.provenance.dt)
-        bounds = CORRECTIONS
-    scaling = Scaling.of(data.z, rest.mean(axis=0), spread(rest, GP_OUTPUT, label))
-    z, y = scaling.inputs(data.z), scaling.targets(rest)
+    scaling = Scaling.of(data.z, data.y.mean(axis=0), spread(data.y, GP_OUTPUT, label))
+    z, y = scaling.inputs(data.z), scaling.targets(data.y)
 
     def fit_all(
         rows: NDArray[np.int64], starts: list[list[Hyperparameters]], done: int, stage: str
     ) -> list[OutputProcess]:
         processes = [
-            OutputProcess(z[rows], y[rows, j].contiguous(), settings.kernel, bounds)
+            OutputProcess(z[rows], y[rows, j].contiguous(), settings.kernel, WHOLE_CHANGES)
             for j in range(NY)
         ]
-        together = [range(NY)] if fitted is not None else [range(j, j + 1) for j in range(NY)]
-        for number, outputs in enumerate(together):
-            group = [processes[j] for j in outputs]
-            share_kernel(group)
-            before = number * len(starts) * settings.max_iterations
-            names = ", ".join(list(GP_OUTPUT)[j] for j in outputs)
+        for j, (process, name) in enumerate(zip(processes, GP_OUTPUT, strict=True)):
+            before = j * len(starts) * settings.max_iterations
 
             def on_step(
-                start: int, iteration: int, loss: float, before: int = before, names: str = names
+                start: int, iteration: int, loss: float, before: int = before, name: str = name
             ) -> None:
                 at = before + start * settings.max_iterations + iteration
-                at = done + math.ceil(at / len(together))
-                report(f"{label}: {stage} fit of {names}", loss, at)
+                report(f"{label}: {stage} fit of {name}", loss, done + math.ceil(at / NY))
 
-            own = [[start[j] for j in outputs] for start in starts]
-            fit(group, own, settings.max_iterations, on_step)
+            fit(process, [start[j] for start in starts], settings.max_iterations, on_step)
         return processes
 
     first_rows = np.sort(rng.permutation(len(data))[: settings.first_points])
@@ -100,34 +78,16 @@ def exact_member(
         [process.hyperparameters for process in first],
         *([_random_start(rng) for _ in range(NY)] for _ in range(settings.restarts)),
     ]
-    processes = fit_all(rows, starts, settings.max_iterations, "final")
-    targets = data.y[rows]
-    if fitted is not None:
-        known = targets - rest[rows] + scaling.target_mean
-        targets = known + scaling.target_std * _averaged(processes, z, y)
     return TrainedMember(
         dataset=data,
         validation=validation,
         inputs=data.z[rows],
-        targets=targets,
+        targets=data.y[rows],
         scaling=scaling,
-        processes=tuple(processes),
-        mean=mean,
-        vehicle=fitted,
+        processes=tuple(fit_all(rows, starts, settings.max_iterations, "final")),
+        mean=PriorMean(),
+        vehicle=None,
     )
-
-
-def _averaged(
-    processes: list[OutputProcess], z: torch.Tensor, y: torch.Tensor
-) -> NDArray[np.float64]:
-    """Give the processes averages over all transitions z (n, 6), y (n, 3) as targets.
-
-    Returns these, (M, 3); all are z-scored.
-    """
-    columns = average_targets(processes, z, [y[:, j].contiguous() for j in range(NY)])
-    for process, targets in zip(processes, columns, strict=True):
-        process.replace_targets(targets)
-    return torch.stack(columns, dim=1).numpy()
 
 
 # The residual of one period is almost linear in z, hence the long lengthscales and little noise.

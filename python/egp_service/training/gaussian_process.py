@@ -21,7 +21,6 @@ with warnings.catch_warnings():  # linear_operator uses torch.jit.script when it
     warnings.filterwarnings("ignore", ".torch.jit.script. is ", FutureWarning)
     import gpytorch
     from botorch.models.gpytorch import GPyTorchModel
-    from botorch.models.model_list_gp_regression import ModelListGP
     from botorch.optim.closures import ForwardBackwardClosure, NdarrayOptimizationClosure
     from botorch.optim.fit import fit_gpytorch_mll_scipy
     from botorch.optim.utils import get_parameters_and_bounds
@@ -181,31 +180,12 @@ class OutputProcess(gpytorch.models.ExactGP, GPyTorchModel):  # type: ignore[mis
 def share_kernel(processes: Sequence[OutputProcess]) -> None:
     """Replace the kernel and the likelihood of all processes by those of the first.
 
-    `assign` and `fit` of one then change all. The processes must have equal inputs. One kernel
-    halves the time of a prediction, and the errors of closed loops are alike.
+    `assign` of one then changes all but the constants of the others. The processes must have equal
+    inputs. One kernel halves the time of a prediction, and the errors of closed loops are alike.
     """
     for process in processes[1:]:
         process.covar_module = processes[0].covar_module
         process.likelihood = processes[0].likelihood
-
-
-def shared_loss(processes: Sequence[OutputProcess]) -> torch.Tensor:
-    """Return the negative log marginal likelihood, averaged over processes and points.
-
-    The m processes share inputs, kernel and noise, so that one factorisation of K + s I serves all
-    of them: with residuals R (n, m) from their constants, the sum of their likelihoods is
-    -(tr(Rᵀ (K + s I)⁻¹ R) + m log det(K + s I) + m n log 2π) / 2 (Rasmussen and Williams, Gaussian
-    Processes for Machine Learning, equation 2.30).
-    """
-    first = processes[0]
-    prior = first.likelihood(first.forward(first.inputs))
-    means = [process.mean_module(process.inputs) for process in processes]
-    targets = [cast("torch.Tensor", process.train_targets) for process in processes]
-    residuals = torch.stack(targets, dim=-1) - torch.stack(means, dim=-1)
-    fits, log_det = prior.lazy_covariance_matrix.inv_quad_logdet(residuals, logdet=True)
-    n, m = residuals.shape
-    loss: torch.Tensor = (fits / m + log_det + n * math.log(2.0 * math.pi)) / (2 * n)
-    return loss
 
 
 class _EachPointOnce(NdarrayOptimizationClosure):
@@ -227,33 +207,31 @@ class _EachPointOnce(NdarrayOptimizationClosure):
 
 
 def fit(
-    processes: Sequence[OutputProcess],
-    starts: Sequence[Sequence[Hyperparameters]],
+    process: OutputProcess,
+    starts: Sequence[Hyperparameters],
     max_iterations: int,
     report: Callable[[int, int, float], None],
 ) -> None:
-    """Maximise the sum of the log marginal likelihoods by L-BFGS-B; keep the best start.
+    """Maximise the log marginal likelihood by L-BFGS-B; keep the best start.
 
-    The processes share inputs, kernel and noise; see `share_kernel`. A start consists of the
-    hyperparameters of each process. After each iteration `report` gets the numbers of the start and
-    of its iteration, and the loss.
+    After each iteration `report` gets the numbers of the start and of its iteration, and the
+    negative likelihood per transition.
 
     Raises:
-        EgpError: if no start ends at a finite loss.
+        EgpError: if no start ends at a finite likelihood.
 
     """
-    models = ModelListGP(*processes)
-    mll = gpytorch.mlls.SumMarginalLogLikelihood(models.likelihood, models)
+    mll = gpytorch.mlls.ExactMarginalLogLikelihood(process.likelihood, process)
     parameters, _ = get_parameters_and_bounds(mll)
 
     def loss() -> torch.Tensor:
-        return shared_loss(processes)
+        found: torch.Tensor = -mll(process(process.inputs), process.train_targets)
+        return found
 
-    best_loss, best = math.inf, models.state_dict()
+    best_loss, best = math.inf, process.state_dict()
     with exact():
         for number, start in enumerate(starts):
-            for process, values in zip(processes, start, strict=True):
-                process.assign(values)
+            process.assign(start)
             mll.train()
 
             def on_step(
@@ -270,11 +248,11 @@ def fit(
             )
             if result.fval < best_loss:
                 best_loss = float(result.fval)
-                best = {name: value.clone() for name, value in models.state_dict().items()}
+                best = {name: value.clone() for name, value in process.state_dict().items()}
     if not math.isfinite(best_loss):
         raise EgpError(
             "no start of the hyperparameter search reached a finite likelihood; "
             "look for constant or duplicate columns in the data"
         )
-    models.load_state_dict(best)
-    mll.eval()
+    process.load_state_dict(best)
+    process.eval()

@@ -23,20 +23,24 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 _JITTER: Final = 1e-8  # of the prior variance, on the covariance of the inducing points
+# Evaluations of the bound that a line search may need. Without `max_eval` torch allows only one for
+# each iteration, and where the first step is too long the fit stays where it is from then on.
+_LINE_SEARCH: Final = 25
 _BLOCK: Final = 4096  # transitions whose covariances with the inducing points are held at a time
 
 
 def fit_sparse(
-    process: OutputProcess,
+    processes: Sequence[OutputProcess],
     z: torch.Tensor,
-    y: torch.Tensor,
+    y: Sequence[torch.Tensor],
     iterations: int,
     report: Callable[[int, float], None],
 ) -> None:
-    """Fit the hyperparameters of a process to z-scored z (n, 6) and y (n,) by L-BFGS.
+    """Fit the hyperparameters of processes to z-scored z (n, 6) and their targets (n,) by L-BFGS.
 
-    The inputs of `process` are the inducing points. `report` gets the iteration and the negative
-    bound on the log marginal likelihood per transition, which is minimised.
+    The processes share inputs, kernel and noise, as in `share_kernel`; their inputs are the
+    inducing points. `report` gets the iteration and the negative bound on the log marginal
+    likelihood, for each transition and process, which is minimised.
 
     If the data contain nothing for the process to learn, the bound is flat towards infinite
     lengthscales and a vanishing scale, where the covariance cannot be factorised. The fit then ends
@@ -46,9 +50,14 @@ def fit_sparse(
         EgpError: if the bound at the start is not finite.
 
     """
-    parameters = list(process.parameters())
+    # Each parameter once, also if processes share it.
+    parameters = list(dict.fromkeys(p for process in processes for p in process.parameters()))
     optimiser = torch.optim.LBFGS(
-        parameters, max_iter=1, history_size=10, line_search_fn="strong_wolfe"
+        parameters,
+        max_iter=1,
+        max_eval=1 + _LINE_SEARCH,
+        history_size=10,
+        line_search_fn="strong_wolfe",
     )
     found: tuple[torch.Tensor, torch.Tensor] | None = None
     # Where the last step began whose bound there is finite.
@@ -62,7 +71,7 @@ def fit_sparse(
         point = torch.cat([parameter.detach().flatten() for parameter in parameters])
         if found is None or not torch.equal(point, found[0]):
             optimiser.zero_grad()
-            loss = -_bound(process, z, y) / len(y)
+            loss = -_bound(processes, z, y) / (len(processes) * len(z))
             loss.backward()  # type: ignore[no-untyped-call]
             found = point, loss
         if begins and torch.isfinite(found[1]):
@@ -165,22 +174,32 @@ def _factor_of_one_and(square: torch.Tensor) -> torch.Tensor:
     return factor
 
 
-def _bound(process: OutputProcess, z: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
-    """Titsias' lower bound on the log marginal likelihood (eq. 9).
+def _bound(
+    processes: Sequence[OutputProcess], z: torch.Tensor, y: Sequence[torch.Tensor]
+) -> torch.Tensor:
+    """Titsias' lower bound on the log marginal likelihood (eq. 9), summed over the processes.
 
-    The matrix to invert is `B = I + A Aᵀ / s²`, with A as `_whitened` returns it.
+    The matrix to invert is `B = I + A Aᵀ / s²`, with A as `_whitened` returns it. The processes
+    share it.
     """
-    noise, prior = process.likelihood.noise[0], process.covar_module.outputscale
-    A, rest = _whitened(process, _factor(process), z), y - process.mean_module(z)
+    first = processes[0]
+    noise, prior = first.likelihood.noise[0], first.covar_module.outputscale
+    A = _whitened(first, _factor(first), z)
     square = A @ A.T / noise
     LB = _factor_of_one_and(square)
-    c = torch.linalg.solve_triangular(LB, (A @ rest)[:, None] / noise, upper=False)
-    bound: torch.Tensor = 0.5 * (
-        (c * c).sum()
-        - rest @ rest / noise
-        - len(y) * torch.log(2.0 * torch.pi * noise)
-        - 2.0 * LB.diagonal().log().sum()
-        - len(y) * prior / noise
-        + square.trace()
-    )
-    return bound
+
+    def bound(process: OutputProcess, targets: torch.Tensor) -> torch.Tensor:
+        rest = targets - process.mean_module(z)
+        c = torch.linalg.solve_triangular(LB, (A @ rest)[:, None] / noise, upper=False)
+        found: torch.Tensor = 0.5 * (
+            (c * c).sum()
+            - rest @ rest / noise
+            - len(z) * torch.log(2.0 * torch.pi * noise)
+            - 2.0 * LB.diagonal().log().sum()
+            - len(z) * prior / noise
+            + square.trace()
+        )
+        return found
+
+    bounds = [bound(process, targets) for process, targets in zip(processes, y, strict=True)]
+    return torch.stack(bounds).sum()

@@ -1,12 +1,11 @@
 """Training of a library from datasets, one member for each surface.
 
 Trajectories of each surface are split off for validation, and one single-track vehicle is fitted to
-all surfaces with a set of tyres for each (`vehicle_fit`). With `mean="best"` each member then takes
-the kind that predicts held-out blocks best (`choice`). Its processes are sparse, and each output
-has a kernel and a noise of its own (`average_member`). Otherwise the processes of a surface are
-exact (`exact_member`): the residuals are z-scored, the lengthscales are fitted on a random subset,
-`max_points` transitions are chosen with them (`subset`), and the processes are fitted on these.
-With a vehicle as prior mean the outputs' processes share kernel and noise.
+all surfaces with a set of tyres for each (`vehicle_fit`). With `mean="single-track"` the processes
+correct it (`correction_member`). With `mean="best"` each member takes the kind that predicts
+held-out blocks best (`choice`), and each output has a kernel and a noise of its own
+(`average_member`). With `mean="constant"` no vehicle is fitted, and the processes are exact as in
+the paper (`exact_member`).
 """
 
 from __future__ import annotations
@@ -25,6 +24,7 @@ from egp_service.data.plausibility import HEAVIEST, LARGEST, largest
 from egp_service.quantities import GP_INPUT, GP_OUTPUT, NZ
 from egp_service.training.average_member import MOST_POINTS
 from egp_service.training.choice import BUDGET, best_member, blocks_to_compare
+from egp_service.training.correction_member import CORRECTION_ITERATIONS, correction_member
 from egp_service.training.delays import find_delays
 from egp_service.training.exact_member import exact_member, spread
 from egp_service.training.kernel import KernelName
@@ -55,9 +55,7 @@ class TrainingSettings:
     mean: Literal["single-track", "constant", "best"] = "single-track"
     """Prior mean of the GPs: a vehicle fitted to the surface, or constants as in the paper.
 
-    With "best" each member takes the kind of `choice.KINDS` that predicts held-out blocks best. Its
-    processes are sparse (`average_member`), and `first_points`, `restarts` and `max_iterations` do
-    not apply.
+    With "best" each member takes the kind of `choice.KINDS` that predicts held-out blocks best.
 
     The residuals of a vehicle are small and hardly determine the kernels, so with "single-track"
     all (z-scored) outputs share one kernel and noise, which halves the time of a prediction. With
@@ -67,11 +65,13 @@ class TrainingSettings:
     """Largest number of transitions of a member, at most 5000, as in a library; the control step's
     time grows with it. With "best" it is at most 150, also by default."""
     first_points: int = 400
-    """Number of random transitions of the first fit, whose lengthscales choose the final ones."""
+    """With "constant", the number of random transitions of the first fit, whose lengthscales choose
+    the final ones."""
     restarts: int = 1
-    """Number of additional starts of the final fit from random hyperparameters."""
+    """With "constant", the number of additional starts of the final fit from random
+    hyperparameters."""
     max_iterations: int = 150
-    """L-BFGS iterations per start."""
+    """With "constant", the L-BFGS iterations per start."""
     validation_fraction: float = 0.2
     """Share of each surface's trajectories that are held out of training."""
     seed: int = 0
@@ -215,8 +215,7 @@ def train_parts(
         EgpError: if data are implausible, constant or too few, or if a fit fails.
 
     """
-    exact = (settings.restarts + 2) * settings.max_iterations
-    budget = len(parts) * (BUDGET if settings.mean == "best" else exact)
+    budget = len(parts) * _iterations(settings)
     members: list[TrainedMember] = []
     known = vehicle or simulated_vehicle(parts[0][0].provenance.vehicle)
     with one_thread(settings.max_points):
@@ -233,11 +232,24 @@ def train_parts(
                 offset = number * budget // len(parts)
                 report(FitProgress(stage, loss, offset + done, budget))
 
-            if settings.mean == "best" and fitted is not None:
+            if fitted is None:
+                members.append(exact_member(part, settings, rng, on_fit))
+            elif settings.mean == "best":
                 members.append(best_member(part, fitted, settings, rng, on_fit))
             else:
-                members.append(exact_member(part, fitted, settings, rng, on_fit))
+                members.append(correction_member(part, fitted, settings, rng, on_fit))
     return members
+
+
+def _iterations(settings: TrainingSettings) -> int:
+    """Largest number of iterations that a member's training reports."""
+    match settings.mean:
+        case "best":
+            return BUDGET
+        case "single-track":
+            return CORRECTION_ITERATIONS
+        case "constant":
+            return (settings.restarts + 2) * settings.max_iterations
 
 
 def check_one_library(origins: Sequence[Provenance]) -> None:

@@ -44,7 +44,7 @@ def train(
     ] = _MAX_POINTS,
     restarts: Annotated[
         int | None,
-        typer.Option(help="Additional random starts of each fit, by default 1; not with best."),
+        typer.Option(help="Additional random starts of each fit, by default 1; with constant."),
     ] = None,
     validation: Annotated[
         float, typer.Option(help="Share of the trajectories for validation, between 0 and 1.")
@@ -76,9 +76,10 @@ def train(
     training; the command says by how much. With best, training takes minutes for
     each member; single-track and constant, which try nothing else, are faster.
 
-    With best, GPs are sparse: up to 150 points average all transitions.
-    Otherwise, of more than --max-points transitions, half are selected uniformly
-    and half by the variance of a first fit.
+    With best and single-track, the targets of the GPs are averages over all
+    transitions, at up to 150 and --max-points of them. With constant, these are
+    the only ones that the GPs learn from. Of more transitions, half are selected
+    uniformly and half by the variance of a first fit.
 
     The library states its vehicle, from which controller, gate and speed
     profile take their defaults. The file of --vehicle states, in SI units:
@@ -134,10 +135,10 @@ def train(
             "--seed": seed,
         }
         check_unused(stated, "cannot be used with --recipe: the recipe's file states it")
-    elif mean == "best":
+    elif mean != "constant":
         check_unused(
             {"--restarts": restarts is not None},
-            "cannot be used with --mean best: add --mean single-track or constant",
+            f"cannot be used with --mean {mean}: add --mean constant",
         )
     if recipe is not None:
         plan = Recipe.read(recipe)
