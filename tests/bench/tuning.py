@@ -64,11 +64,11 @@ class Comparison:
 
 
 COMPARISONS: Final = (
-    Comparison("cost", "lateral", (6.0, 60.0, 600.0)),
+    Comparison("cost", "lateral", (8.0, 80.0, 800.0)),
     Comparison("cost", "rate", ([0.05, 1.0], [0.05, 10.0], [0.05, 100.0])),
     Comparison("cost", "psi", (1.0, 10.0, 1000.0)),
     Comparison("cost", "v_x", (0.02, 2.0, 200.0), SPEED_ERROR),
-    Comparison("", "horizon", (15, 40, 60)),
+    Comparison("", "horizon", (20, 40, 60)),
     Comparison("weights", "window", (5, 25, 60), WEIGHT),
     Comparison("speed", "grip", (0.7, 0.9, 1.0), SPEED),
     Comparison("speed", "risk", (0.01, 0.1, 0.5), SPEED),

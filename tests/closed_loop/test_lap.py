@@ -272,7 +272,7 @@ def test_a_replay_shows_where_other_settings_matter(lap: Lap, tmp_path: Path) ->
     command = ["replay", str(lap.folder / "run.mcap"), "--settings", str(settings)]
     result = CliRunner().invoke(app, [*command, "--output", str(picture)])
     assert result.exit_code == 0, result.output
-    assert "cost.lateral: 60.0 → 20.0" in result.output
+    assert "cost.lateral: 80.0 → 20.0" in result.output
     assert picture.stat().st_size > 10_000
     recorded = read_recording(lap.folder / "run.mcap")
     again = replay(recorded, library_path(SCENARIO), {"cost": {"lateral": 20.0}})

@@ -79,7 +79,7 @@ def test_settings_are_those_of_the_document() -> None:
     assert len(listed) == len(rows)
     assert not [s for s in listed if re.search(r"[$`\\]", s.default + s.unit + s.meaning)]
     lateral = next(setting for setting in listed if setting.key == "cost.lateral")
-    assert (lateral.section, lateral.default, lateral.unit) == ("Control step", "60.0", "1/m²")
+    assert (lateral.section, lateral.default, lateral.unit) == ("Control step", "80.0", "1/m²")
     shown = RUNNER.invoke(app, ["settings", "cost", "lateral"], env={"COLUMNS": "80"}).output
     assert "cost.lateral" in shown
     assert "cost.v_x" not in shown

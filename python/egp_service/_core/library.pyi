@@ -125,11 +125,11 @@ class Member:
         """Nominal friction coefficient of the surface."""
     @property
     def peak_slip(self) -> float:
-        """Slip angle in rad, to which the step by default bounds that of the front tyres.
+        """Slip angle in rad of the peak of the front force.
 
-        Of a single-track vehicle the angle at which its front force is largest,
-        `tan(pi / (2 C)) / B`, at most 0.4. Of other members `peak_slip` of the library's vehicle
-        times the friction.
+        The step by default bounds the slip of the front tyres to 0.9 of it. Of a single-track
+        vehicle `tan(pi / (2 C)) / B`, at most 0.4. Of other members `peak_slip` of the library's
+        vehicle times the friction.
         """
     @property
     def lateral_grip(self) -> float:

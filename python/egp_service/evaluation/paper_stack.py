@@ -217,7 +217,7 @@ class PaperStack:
         stated = settings["soft"].get("slip")
         self.slips = np.array(
             [
-                member.peak_slip if stated is None else stated * member.friction
+                0.9 * member.peak_slip if stated is None else stated * member.friction
                 for member in library.members
             ]
         )

@@ -46,6 +46,8 @@ fn period(library: &Library, horizon: u32, window: u32) {
     let mut settings = requests::settings();
     settings.horizon = Some(horizon as usize);
     settings.weights.window = Some(window as usize);
+    // Stated, so that other defaults, with which this problem takes other iterations, do not change the counts.
+    (settings.cost.longitudinal, settings.cost.lateral) = (Some(10.0), Some(60.0));
     let mut ws = Workspace::new(library, &settings).unwrap();
     let mut reply = StepReply::default();
     let mut request = requests::Request::circle_of(horizon, window);

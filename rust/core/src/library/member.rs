@@ -12,6 +12,11 @@ use crate::{GpInput, GpJacobian, GpOutput, Kernel, NY, NZ, VarianceScratch};
 /// CommonRoad's Ford Escort, BMW 320i and VW Vanagon.
 const TRACK: f64 = 0.83;
 
+/// Share of [`Member::peak_slip`] to which plans bound the slip of the front tyres. The fitted front force is there at
+/// least 0.99 of its peak and still rises. Gaussian processes move the peak, and beyond it the linearisation says that
+/// more steering turns the vehicle less.
+const SHARE_OF_PEAK_SLIP: f64 = 0.9;
+
 /// The vehicle and the GPs of one surface. All arguments and results are in physical units; the GPs are evaluated in the
 /// z-scored space. Without a vehicle the GPs learn the whole change; without training points the vehicle is the whole
 /// prediction.
@@ -102,10 +107,10 @@ impl Member {
         }
     }
 
-    /// What the tyres transmit on this surface, for the bounds of the OCP: those of the fitted vehicle. A member without a
-    /// single-track vehicle has [`Self::peak_slip`] and the largest accelerations of `vehicle`. Its lateral force has no
-    /// coupling with the longitudinal one if the wheels roll without slip; otherwise the coupling is that of a friction
-    /// circle: at `|F_x| / m = sqrt(½) mu g` half of the squared lateral force remains. The load that moves to
+    /// What the tyres transmit on this surface, for the bounds of the OCP: those of the fitted vehicle, with 0.9 of
+    /// [`Self::peak_slip`]. A member without a single-track vehicle has the largest accelerations of `vehicle`. Its
+    /// lateral force has no coupling with the longitudinal one if the wheels roll without slip; otherwise the coupling is
+    /// that of a friction circle: at `|F_x| / m = sqrt(½) mu g` half of the squared lateral force remains. The load that moves to
     /// the outside of a bend is `2 h / (g b)` for each m/s², with the fitted height `h` and the track `b`, which is 0.83 of the
     /// width of `vehicle`; without a fitted height none moves.
     pub fn tyre_limits(&self, vehicle: &VehicleParameters) -> TyreLimits {
@@ -126,7 +131,7 @@ impl Member {
         };
         TyreLimits {
             friction: self.friction,
-            slip: self.peak_slip(vehicle),
+            slip: SHARE_OF_PEAK_SLIP * self.peak_slip(vehicle),
             drive,
             brake,
             coupling,

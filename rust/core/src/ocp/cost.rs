@@ -74,9 +74,9 @@ mod tests {
             state_weight(&cost, &cost.scaled(scale), &reference)[(P_Y, P_Y)] * scale * scale
         };
         let weights = [20.0, full, 0.5 * full, 0.0].map(|v_x| weight(v_x, 1.0));
-        assert_eq!(weights, [60.0, 60.0, 15.0, 0.0]);
+        assert_eq!(weights, [80.0, 80.0, 20.0, 0.0]);
         // A vehicle of a quarter of the size with half of the speed.
-        assert_eq!(weight(0.25 * full, 0.25), 15.0);
+        assert_eq!(weight(0.25 * full, 0.25), 20.0);
     }
 
     #[test]

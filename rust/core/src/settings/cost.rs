@@ -20,10 +20,10 @@ const MOST_TERMINAL: f64 = 1e3;
 #[serde(default, deny_unknown_fields, expecting = "a table")]
 pub struct Cost {
     /// Position error along the reference, 1/m². If it equals `lateral`, Q is the same for all yaw angles of the reference,
-    /// as in the paper, except below [`ScaledWeights::full_lateral_speed`]. Default `10 / scale²`.
+    /// as in the paper, except below [`ScaledWeights::full_lateral_speed`]. Default `2 / scale²`.
     pub longitudinal: Option<f64>,
     /// Position error across the reference, 1/m², with less weight below [`ScaledWeights::full_lateral_speed`]. Default
-    /// `60 / scale²`; with 60 the simulated car drives with up to 40 ms of actuator delay, with 20 with up to 60 ms.
+    /// `80 / scale²`; with 80 the simulated car drives with up to 40 ms of actuator delay, with 20 with up to 60 ms.
     pub lateral: Option<f64>,
     /// Speed error, 1/(m/s)². Default `2 / scale`.
     pub v_x: Option<f64>,
@@ -79,8 +79,8 @@ impl Cost {
     pub fn scaled(&self, scale: f64) -> ScaledWeights {
         let per_square = |weight: f64, unit: f64| (weight / (unit * unit)).min(MOST_WEIGHT);
         ScaledWeights {
-            longitudinal: (self.longitudinal).unwrap_or_else(|| per_square(10.0, scale)),
-            lateral: self.lateral.unwrap_or_else(|| per_square(60.0, scale)),
+            longitudinal: (self.longitudinal).unwrap_or_else(|| per_square(2.0, scale)),
+            lateral: self.lateral.unwrap_or_else(|| per_square(80.0, scale)),
             full_lateral_speed: 4.0 * scale.sqrt(),
             v_x: self.v_x.unwrap_or(2.0 / scale),
             input: self.input.unwrap_or([0.05, 2.0 * scale]),
@@ -156,9 +156,9 @@ mod tests {
     fn errors_of_similar_vehicles_cost_the_same() {
         let (large, small) = (settings(1.0), settings(0.25));
         assert_eq!(settings(1.2).cost, large.cost);
-        assert_eq!(large.cost.lateral, Some(60.0));
-        assert_eq!(small.cost.lateral, Some(60.0 * 16.0));
-        assert_eq!(small.cost.longitudinal, Some(10.0 * 16.0));
+        assert_eq!(large.cost.lateral, Some(80.0));
+        assert_eq!(small.cost.lateral, Some(80.0 * 16.0));
+        assert_eq!(small.cost.longitudinal, Some(2.0 * 16.0));
         assert_eq!(small.cost.v_x, Some(2.0 * 4.0));
         assert_eq!(small.cost.input, Some([0.05, 2.0 / 4.0]));
         assert_eq!(small.cost.rate, Some([0.05, 10.0 / 4.0]));

@@ -7,7 +7,7 @@ use super::capacity::SATURATED;
 pub struct TyreLimits {
     /// Friction coefficient of the surface.
     pub friction: f64,
-    /// Slip angle of the front tyres at the peak of their force, rad.
+    /// Slip angle of the front tyres to which plans are bounded, rad: close to the peak of their force.
     pub slip: f64,
     /// Largest acceleration `F_x / m` under drive, m/s².
     pub drive: f64,
@@ -53,7 +53,7 @@ impl TyreLimits {
     ///
     /// It is that of the friction ellipse, `sqrt(1 - used²)`, but at least [`ROLLING`], with which wheels go on rolling; from
     /// the friction [`SLIPPERY`] on it is 1. `used` is the larger one of two ratios: the lateral acceleration `lateral`, m/s²,
-    /// over the largest one of a steady bend, and `front_slip`, rad, over the slip angle at the peak of the front force. The
+    /// over the largest one of a steady bend, and `front_slip`, rad, over its bound. The
     /// second ratio also detects front tyres that slide while the vehicle does not turn, and the first one detects rear tyres
     /// at their limit.
     pub(crate) fn share_beside(&self, lateral: f64, front_slip: f64) -> f64 {
