@@ -43,8 +43,7 @@ CUT = {
     "samples = 200": "samples = 60",
     "episodes = 20": "episodes = 4",
     "max_points = 250": "max_points = 40",
-    "first_points = 200": "first_points = 40",
-    "max_iterations = 60": "max_iterations = 5",
+    "steady = 200": "steady = 60",
     "rounds = 1": "rounds = 0",
 }
 

@@ -60,20 +60,7 @@ def with_library(trial: Trial, path: Path) -> Trial:
     )
 
 
-@pytest.mark.parametrize(
-    "risk",
-    [
-        "3%",
-        pytest.param(
-            "5%",
-            marks=pytest.mark.xfail(
-                reason="plans at 5 % assume 0.40 at most, and 4 of 20 vehicles do not arrive",
-                strict=True,
-                raises=AssertionError,
-            ),
-        ),
-    ],
-)
+@pytest.mark.parametrize("risk", ["3%", "5%"])
 def test_a_patch_in_a_bend_is_found_on_the_first_lap(tmp_path: Path, risk: str) -> None:
     path = tmp_path / "two.safetensors"
     write_library_subset(EVALUATION_LIBRARY, path, [0, 3])
