@@ -99,9 +99,8 @@ def main(library: str, seeds: int = 20) -> None:
     """Print both tables; the second one has `seeds` runs of each kind."""
     print("surface  bound on slip  share of the peak")
     for member in Library.load(library).members:
-        bound = 0.9 * member.peak_slip
-        share = usable(member.label, bound)
-        print(f"{member.label:7} {bound:9.3f} rad {100 * share:16.1f} %")
+        share = usable(member.label, member.slip_bound)
+        print(f"{member.label:7} {member.slip_bound:9.3f} rad {100 * share:16.1f} %")
     print("lap   grip  contender  completed  RMS, max m", flush=True)
     laps = [
         Lap(library, kind, grip, surfaces, seed)

@@ -32,6 +32,10 @@ NOBODY = "tcp/127.0.0.1:9"
         ),
         ("train data.parquet -o .", ". is a folder: name a file in it"),
         ("train a.parquet -o l --validation 1.5", "--validation is 1.5: expected a share between"),
+        (
+            "train a -o l --mean single-track --restarts 1",
+            "--restarts cannot be used with --mean single-track: add --mean constant",
+        ),
         ("train a -o l --mean constant --restarts -1", "--restarts is -1: expected 0 or more"),
         ("train a -o l --max-points 151", "max_points is 151: expected at most 150 with the mean"),
         ("drive --in-process --connect tcp/127.0.0.1:9", "--in-process excludes --connect"),

@@ -143,7 +143,17 @@ UNSETTLED = pytest.mark.xfail(
 
 
 @pytest.mark.parametrize(
-    "acceleration", [pytest.param(2, marks=UNSETTLED), pytest.param(3, marks=UNSETTLED), 4]
+    "acceleration",
+    [
+        pytest.param(2, marks=UNSETTLED),
+        pytest.param(
+            3,
+            marks=pytest.mark.xfail(
+                reason="one of two seeds needs 0.52 s", raises=AssertionError, strict=True
+            ),
+        ),
+        4,
+    ],
 )
 def test_the_weights_settle_within_half_a_second(runs: Rows, acceleration: int) -> None:
     assert max(settling_times(runs, acceleration), default=inf) <= 0.5
@@ -155,9 +165,16 @@ def test_the_friction_is_known_the_better_the_faster_the_bend(runs: Rows) -> Non
         for acceleration in (1, 2, 3, 4)
     ]
     assert known == sorted(known, reverse=True)
-    # Of a step of 0.6: little within a window (0.14 at 2 m/s²), and all of it.
-    assert known[1] > 0.1
+    # All of a step of 0.6.
     assert known[3] < 0.06
+
+
+@pytest.mark.xfail(
+    reason="a window at 2 m/s² tells it to 0.138", raises=AssertionError, strict=True
+)
+def test_a_slow_bend_does_not_tell_the_friction_within_a_window(runs: Rows) -> None:
+    rows = friction_steps(runs, 2)
+    assert median(float(row["resolution"]) for row in rows) > 0.15
 
 
 def friction_steps(runs: Rows, acceleration: int, sensors: str = "") -> Rows:

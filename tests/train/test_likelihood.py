@@ -52,10 +52,10 @@ def test_with_all_points_inducing_the_bound_is_the_likelihood(kernel: KernelName
         each = gpytorch.mlls.SumMarginalLogLikelihood(models.likelihood, models)
         theirs = each(models(*models.train_inputs), models.train_targets)
         theirs.backward()
-    # The jitter of the sparse process is 1e-8 of the prior variance.
-    assert own.item() == pytest.approx(theirs.item(), rel=1e-6)
+    # The jitter of the sparse process is 1e-8 of the prior variance; measured 6e-9 and 4e-8.
+    assert own.item() == pytest.approx(theirs.item(), rel=3e-8)
     for gradient, parameter in zip(gradients, models.parameters(), strict=True):
-        assert torch.allclose(gradient, parameter.grad, rtol=1e-4, atol=1e-6)
+        assert torch.allclose(gradient, parameter.grad, rtol=1e-6, atol=1e-9)
 
 
 def test_a_sparse_fit_goes_on_after_a_step_that_is_too_long() -> None:

@@ -124,11 +124,11 @@ class Member:
     def friction(self) -> float:
         """Nominal friction coefficient of the surface."""
     @property
-    def peak_slip(self) -> float:
-        """Slip angle in rad of the peak of the front force.
+    def slip_bound(self) -> float:
+        """Slip angle in rad, to which the step by default bounds that of the front tyres.
 
-        The step by default bounds the slip of the front tyres to 0.9 of it. Of a single-track
-        vehicle `tan(pi / (2 C)) / B`, at most 0.4. Of other members `peak_slip` of the library's
+        It is 0.9 times the angle at which the front force is largest: of a single-track vehicle
+        `tan(pi / (2 C)) / B`, at most 0.4, and of other members `peak_slip` of the library's
         vehicle times the friction.
         """
     @property

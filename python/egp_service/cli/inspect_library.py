@@ -108,13 +108,13 @@ def summary(path: Path, library: Library) -> Table:
 
 def members(members: Iterable[Member]) -> Table:
     """Return a table with a row for each surface."""
-    heads = ("member", "friction", "peak slip rad", "points", "dataset")
+    heads = ("member", "friction", "slip bound rad", "points", "dataset")
     table = narrow_table(*heads, wrapped=("member",), title="Surfaces")
     for member in members:
         table.add_row(
             escape(member.label),
             f"{member.friction:g}",
-            f"{member.peak_slip:.3f}",
+            f"{member.slip_bound:.3f}",
             str(member.n_points),
             member.dataset[:12],
         )

@@ -217,7 +217,7 @@ class PaperStack:
         stated = settings["soft"].get("slip")
         self.slips = np.array(
             [
-                0.9 * member.peak_slip if stated is None else stated * member.friction
+                member.slip_bound if stated is None else stated * member.friction
                 for member in library.members
             ]
         )

@@ -20,7 +20,7 @@ from egp_service.data.channels import MAD
 from egp_service.quantities import GP_OUTPUT, NORMAL_95, NY, NZ
 from egp_service.training.exact_member import START
 from egp_service.training.gaussian_process import Bounds, Hyperparameters, OutputProcess
-from egp_service.training.sparse import PosteriorMean, average_targets, fit_sparse
+from egp_service.training.sparse import FITTED, PosteriorMean, average_targets, fit_sparse
 from egp_service.training.subset import select
 from egp_service.training.trained import Scaling, TrainedMember
 
@@ -45,7 +45,6 @@ ITERATIONS: Final = 25
 """Iterations of the fit of each output's process."""
 MOST_POINTS: Final = 150
 """Largest number of inducing points; smooth functions under noise need few."""
-_ROWS: Final = 3000  # transitions that the hyperparameters are fitted to
 _OUTLIER: Final = 4.0  # robust standard deviations
 _ROUNDS: Final = 4
 _ALONE: Final = Hyperparameters((1.0,) * NZ, outputscale=1e-9, noise=1.0, constant=0.0)
@@ -86,7 +85,7 @@ def average_member(
     widen = np.ones(NY) if widening is None else widening
     chosen, values = moving[:1], [_ALONE] * NY
     if report is not None:
-        rows = rng.permutation(moving)[:_ROWS]
+        rows = rng.permutation(moving)[:FITTED]
         kept = _without_outliers(z, y, moving)
         chosen, values = _fit((z, kept), rows, settings, rng, report)
     final = [

@@ -22,7 +22,7 @@ from egp_service.quantities import GP_OUTPUT, NY
 from egp_service.training.exact_member import START, spread
 from egp_service.training.gaussian_process import CORRECTIONS, OutputProcess, share_kernel
 from egp_service.training.prior_mean import PriorMean
-from egp_service.training.sparse import average_targets, fit_sparse
+from egp_service.training.sparse import FITTED, average_targets, fit_sparse
 from egp_service.training.subset import select, spikes
 from egp_service.training.trained import Scaling, TrainedMember
 
@@ -38,8 +38,7 @@ if TYPE_CHECKING:
 
 CORRECTION_ITERATIONS: Final = 40
 """Iterations of the fit of a member's hyperparameters."""
-_ROWS: Final = 3000  # transitions that the hyperparameters are fitted to
-_INDUCING: Final = 200  # inducing points of this fit
+_INDUCING: Final = 200  # inducing points of the fit of the hyperparameters
 
 
 def correction_member(
@@ -77,7 +76,7 @@ def correction_member(
     def on_step(iteration: int, loss: float) -> None:
         report(f"{label}: sparse fit of {', '.join(GP_OUTPUT)}", loss, iteration + 1)
 
-    rows = rng.permutation(len(data))[:_ROWS]
+    rows = rng.permutation(len(data))[:FITTED]
     sparse = processes_at(rows[:_INDUCING])
     for process in sparse:
         process.assign(START)

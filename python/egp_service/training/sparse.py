@@ -22,6 +22,8 @@ from egp_service.training.gaussian_process import OutputProcess, exact
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+FITTED: Final = 3000
+"""Transitions to which the hyperparameters of a member are fitted, drawn at random."""
 _JITTER: Final = 1e-8  # of the prior variance, on the covariance of the inducing points
 # Evaluations of the bound that a line search may need. Without `max_eval` torch allows only one for
 # each iteration, and where the first step is too long the fit stays where it is from then on.

@@ -44,10 +44,10 @@ impl Member {
         self.get().friction()
     }
 
-    #[doc = doc!(Member.peak_slip)]
+    #[doc = doc!(Member.slip_bound)]
     #[getter]
-    fn peak_slip(&self) -> f64 {
-        self.get().peak_slip(self.whole().vehicle())
+    fn slip_bound(&self) -> f64 {
+        self.get().slip_bound(self.whole().vehicle())
     }
 
     #[doc = doc!(Member.lateral_grip)]

@@ -12,9 +12,9 @@ use crate::{GpInput, GpJacobian, GpOutput, Kernel, NY, NZ, VarianceScratch};
 /// CommonRoad's Ford Escort, BMW 320i and VW Vanagon.
 const TRACK: f64 = 0.83;
 
-/// Share of [`Member::peak_slip`] to which plans bound the slip of the front tyres. The fitted front force is there at
-/// least 0.99 of its peak and still rises. Gaussian processes move the peak, and beyond it the linearisation says that
-/// more steering turns the vehicle less.
+/// Share of the slip at the peak of the front force to which plans bound the slip of the front tyres. The fitted force is
+/// there at least 0.99 of its peak and still rises. Gaussian processes move the peak, and beyond it the linearisation says
+/// that more steering turns the vehicle less.
 const SHARE_OF_PEAK_SLIP: f64 = 0.9;
 
 /// The vehicle and the GPs of one surface. All arguments and results are in physical units; the GPs are evaluated in the
@@ -82,17 +82,18 @@ impl Member {
         self.friction
     }
 
-    /// Slip angle of the front tyres in rad beyond which more slip gives no more force on this surface: the peak of the
-    /// fitted axle, [`SingleTrack::peak_slip`](crate::vehicle::SingleTrack::peak_slip).
+    /// Slip angle in rad to which plans bound that of the front tyres on this surface, by default: 0.9 of that at the peak
+    /// of the fitted axle's force, [`SingleTrack::peak_slip`](crate::vehicle::SingleTrack::peak_slip).
     ///
     /// A member without a single-track vehicle has no tyres of its own. Those of `vehicle` take their place, whose peak
     /// is taken to move in proportion to the friction, as if the stiffness were the same on all surfaces (Pacejka, *Tire
     /// and Vehicle Dynamics*, 3rd ed., section 1.2.1).
-    pub fn peak_slip(&self, vehicle: &VehicleParameters) -> f64 {
-        match &self.vehicle {
+    pub fn slip_bound(&self, vehicle: &VehicleParameters) -> f64 {
+        let peak = match &self.vehicle {
             Some(VehicleModel::SingleTrack(fitted)) => fitted.peak_slip(),
             Some(VehicleModel::Kinematic(_)) | None => vehicle.peak_slip * self.friction,
-        }
+        };
+        SHARE_OF_PEAK_SLIP * peak
     }
 
     /// Largest lateral acceleration of a steady bend on this surface, as a fraction of `mu g`: that of the fitted vehicle,
@@ -107,10 +108,10 @@ impl Member {
         }
     }
 
-    /// What the tyres transmit on this surface, for the bounds of the OCP: those of the fitted vehicle, with 0.9 of
-    /// [`Self::peak_slip`]. A member without a single-track vehicle has the largest accelerations of `vehicle`. Its
-    /// lateral force has no coupling with the longitudinal one if the wheels roll without slip; otherwise the coupling is
-    /// that of a friction circle: at `|F_x| / m = sqrt(½) mu g` half of the squared lateral force remains. The load that moves to
+    /// What the tyres transmit on this surface, for the bounds of the OCP: those of the fitted vehicle. A member without a
+    /// single-track vehicle has [`Self::slip_bound`] and the largest accelerations of `vehicle`. Its lateral force has no
+    /// coupling with the longitudinal one if the wheels roll without slip; otherwise the coupling is that of a friction
+    /// circle: at `|F_x| / m = sqrt(½) mu g` half of the squared lateral force remains. The load that moves to
     /// the outside of a bend is `2 h / (g b)` for each m/s², with the fitted height `h` and the track `b`, which is 0.83 of the
     /// width of `vehicle`; without a fitted height none moves.
     pub fn tyre_limits(&self, vehicle: &VehicleParameters) -> TyreLimits {
@@ -131,7 +132,7 @@ impl Member {
         };
         TyreLimits {
             friction: self.friction,
-            slip: SHARE_OF_PEAK_SLIP * self.peak_slip(vehicle),
+            slip: self.slip_bound(vehicle),
             drive,
             brake,
             coupling,

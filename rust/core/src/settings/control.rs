@@ -79,7 +79,7 @@ pub struct Soft {
     pub delta: Option<f64>,
     /// Largest slip angle of the front tyres on friction 1, rad; on other surfaces it is multiplied by the friction of the
     /// blend. Violations cost the penalty `steering`. A value of 5 rad is never reached and switches the bound off. Default:
-    /// 0.9 of the [`crate::Member::peak_slip`] of the members, blended.
+    /// [`crate::Member::slip_bound`] of the members, blended.
     pub slip: Option<f64>,
     /// Distance from the centre of mass to the front axle in m. Default: the library's `l_f`.
     pub front: Option<f64>,

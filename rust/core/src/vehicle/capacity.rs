@@ -74,11 +74,14 @@ mod tests {
         for (stiffness, shape) in [(40.0, 1.35), (16.5, 1.41), (28.0, 1.9), (12.0, 1.2)] {
             let car = with(stiffness, shape);
             let peak = car.peak_slip();
-            let [less, most, more] = [0.99, 1.0, 1.01].map(|share| force(&car, share * peak));
+            let [bound, less, most, more] =
+                [0.9, 0.99, 1.0, 1.01].map(|share| force(&car, share * peak));
             assert!(
                 peak < LARGEST_PEAK_SLIP && most > less && most > more,
                 "{stiffness} {shape}"
             );
+            // The bound of plans leaves nearly all of the force.
+            assert!(bound > 0.99 * most, "{stiffness} {shape}");
         }
         // Peaks that are far out, at infinity, or do not exist.
         for shape in [1.05, 1.0, 0.9] {

@@ -135,8 +135,8 @@ fn a_vehicle_alone_is_a_member_whose_variance_is_its_noise() {
 }
 
 #[test]
-fn a_fitted_vehicle_has_a_peak_slip_of_its_own_and_other_members_that_of_their_friction() {
-    let peaks = |parameters| {
+fn a_fitted_vehicle_has_a_slip_bound_of_its_own_and_other_members_that_of_their_friction() {
+    let bounds = |parameters| -> Vec<f64> {
         let bytes = encode(&with_vehicle_alone(parameters)).unwrap();
         let library = Library::from_bytes(&bytes).unwrap();
         let car = VehicleParameters {
@@ -144,13 +144,13 @@ fn a_fitted_vehicle_has_a_peak_slip_of_its_own_and_other_members_that_of_their_f
             ..VehicleParameters::FORD_ESCORT
         };
         let members = library.members().iter();
-        members.map(|member| member.peak_slip(&car)).collect()
+        members.map(|member| member.slip_bound(&car)).collect()
     };
     // The front axle of `SINGLE_TRACK` has B = 15 and C = 1.6; the second members have a friction of 1.1 and no vehicle.
-    let fitted: Vec<_> = peaks(SINGLE_TRACK);
-    assert!((fitted[0] - 1.4966 / 15.0).abs() < 1e-5, "{fitted:?}");
-    assert_eq!(fitted[1], 0.2 * 1.1);
-    assert_eq!(peaks(KINEMATIC), [0.2 * 0.5, 0.2 * 1.1]);
+    let fitted = bounds(SINGLE_TRACK);
+    assert!((fitted[0] - 0.9 * 1.4966 / 15.0).abs() < 1e-5, "{fitted:?}");
+    assert_eq!(fitted[1], 0.9 * (0.2 * 1.1));
+    assert_eq!(bounds(KINEMATIC), [0.9 * (0.2 * 0.5), 0.9 * (0.2 * 1.1)]);
 }
 
 #[test]
