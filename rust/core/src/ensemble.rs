@@ -45,16 +45,17 @@ impl<'a> Ensemble<'a> {
             .sum()
     }
 
-    /// The mean and its Jacobian: `Σ w μ(z)`, `Σ w ∂μ/∂z`, in physical units.
-    pub fn mean_jacobian(&self, z: &GpInput, jacobian: &mut GpJacobian) -> GpOutput {
-        jacobian.fill(0.0);
+    /// The mean `Σ w μ(z)` and the slopes for the linearisation of plans, `Σ w ∂μ/∂z`, in physical units. The effect of `F_x`
+    /// on `v_y` and `omega` is that of the members' single-track vehicles, without their GPs: see `Member::tangent`.
+    pub fn tangent(&self, z: &GpInput, slopes: &mut GpJacobian) -> GpOutput {
+        slopes.fill(0.0);
         let mut mean = GpOutput::zeros();
-        let mut member_jacobian = GpJacobian::zeros();
+        let mut own = GpJacobian::zeros();
         let mut vehicles = self.vehicles.tangents(z);
         for (place, weight, member) in self.places() {
             let known = vehicles.change_jacobian(place);
-            mean += weight * member.mean_jacobian_beside(known, z, &mut member_jacobian);
-            *jacobian += weight * member_jacobian;
+            mean += weight * member.tangent(known, z, &mut own);
+            *slopes += weight * own;
         }
         mean
     }

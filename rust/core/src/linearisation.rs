@@ -5,7 +5,9 @@ use nalgebra::SMatrix;
 
 use crate::settings::{Operating, OperatingSettings};
 use crate::trajectory::Guess;
-use crate::vehicle::{DELTA, OMEGA, V_X, V_Y, gp_input, jacobians, successor};
+use crate::vehicle::{
+    DELTA, OMEGA, TyreLimits, V_X, V_Y, gp_input, jacobians, raise_steering_effect, successor,
+};
 use crate::{Ensemble, GpJacobian, GpOutput, Input, NU, NX, State};
 
 /// `x_{t+1} = A x_t + B u_t + c`, inputs in N and rad/s.
@@ -34,9 +36,21 @@ pub struct Linearisation {
 /// Share of the largest operating `|v_y|` and `|omega|` by which a shifted state may differ from the ensemble's prediction.
 const FAR: f64 = 0.5;
 
-/// Box to which operating states are clamped.
+/// The model of one stage.
+#[derive(Debug, Clone, Copy)]
+pub struct StageModel<'a> {
+    /// The ensemble of the stage.
+    pub ensemble: Ensemble<'a>,
+    /// What is added to the change that it predicts.
+    pub offset: GpOutput,
+    /// What the tyres transmit.
+    pub tyres: TyreLimits,
+}
+
+/// The vehicle to control, and the box to which operating states are clamped.
 #[derive(Debug, Clone, Copy)]
 pub struct Domain {
+    vehicle: VehicleParameters,
     v_x: (f64, f64),
     v_y: f64,
     omega: f64,
@@ -48,6 +62,7 @@ impl Domain {
     pub fn new(settings: &OperatingSettings, v_x_max: f64, vehicle: &VehicleParameters) -> Self {
         let [v_x_min, v_y, omega] = settings.limits(vehicle.scale());
         Self {
+            vehicle: *vehicle,
             v_x: (v_x_min, v_x_max.max(v_x_min)),
             v_y,
             omega,
@@ -96,17 +111,16 @@ impl Linearisation {
     /// Linearises the ensemble of each stage about the inputs of the guess and, with [`Operating::Shift`], about its states.
     /// Stages without a guessed state use the ensemble's prediction, and stage 0 is always the measured state `x0`.
     ///
-    /// `models` gives the ensemble of a stage and what is added to the change that it predicts.
-    ///
     /// If a guessed state is far from the prediction, all stages use the prediction. Over long horizons the errors of a
     /// linearisation grow along an unstable vehicle; about the plan that they lead to, the next errors would be larger.
     ///
     /// Value and Jacobian of the active members are evaluated once for each stage, and twice if a guessed state is far.
     /// Operating states are clamped to `domain`, in which the members have training data. The affine term is that of the clamped
-    /// state, so the result is still a tangent of the ensemble.
+    /// state, so the result still has the ensemble's value there. Its slopes are those of [`Ensemble::tangent`], and that over
+    /// the steering angle is positive beyond the peak of the front tyres' force, too.
     pub fn along<'a>(
         &mut self,
-        models: impl Fn(usize) -> (Ensemble<'a>, GpOutput),
+        models: impl Fn(usize) -> StageModel<'a>,
         dt: f64,
         x0: &State,
         guess: &Guess,
@@ -131,7 +145,7 @@ impl Linearisation {
     /// are near their predictions; the stages are incomplete otherwise.
     fn about<'a>(
         &mut self,
-        models: impl Fn(usize) -> (Ensemble<'a>, GpOutput),
+        models: impl Fn(usize) -> StageModel<'a>,
         step: Discretisation,
         planned: &[State],
         u: &[Input],
@@ -139,7 +153,7 @@ impl Linearisation {
     ) -> bool {
         self.defect = 0.0;
         for (t, (stage, u)) in self.stages.iter_mut().zip(u).enumerate() {
-            let (dynamics, next) = tangent(&models(t), step, (&self.x[t], u));
+            let (dynamics, next) = tangent(&models(t), &domain.vehicle, step, (&self.x[t], u));
             *stage = dynamics;
             let shifted = planned.get(t + 1);
             if shifted.is_some_and(|shifted| !domain.is_near(shifted, &next)) {
@@ -157,14 +171,16 @@ impl Linearisation {
 
 /// The dynamics at one point, eq. (15), and its successor.
 fn tangent(
-    (ensemble, offset): &(Ensemble, GpOutput),
+    model: &StageModel,
+    vehicle: &VehicleParameters,
     Discretisation { dt, yaw_at }: Discretisation,
     (x, u): (&State, &Input),
 ) -> (AffineDynamics, State) {
-    let mut gp = GpJacobian::zeros();
-    let change = ensemble.mean_jacobian(&gp_input(x, u), &mut gp) + offset;
+    let mut slopes = GpJacobian::zeros();
+    let change = model.ensemble.tangent(&gp_input(x, u), &mut slopes) + model.offset;
+    raise_steering_effect(vehicle, model.tyres.stiffness, dt, x, &mut slopes);
     let next = successor(x, u, &change, dt, yaw_at);
-    let (a, b) = jacobians(x, &gp, dt, yaw_at);
+    let (a, b) = jacobians(x, &slopes, dt, yaw_at);
     (
         AffineDynamics {
             a,

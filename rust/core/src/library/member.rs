@@ -5,7 +5,7 @@ use egp_parameters::{GRAVITY, VehicleParameters};
 use super::data::MemberData;
 use crate::gp::{Gp, HorizonScratch, Hyperparameters, SingularCovariance};
 use crate::scaler::Scaler;
-use crate::vehicle::{Resistance, TyreLimits, VehicleModel};
+use crate::vehicle::{DRIVE, LATERAL, Resistance, TyreLimits, VehicleModel};
 use crate::{GpInput, GpJacobian, GpOutput, Kernel, NY, NZ, VarianceScratch};
 
 /// Distance between the wheels of an axle as a share of the vehicle's width. It is 0.83, 0.86 and 0.85 at the front of
@@ -16,6 +16,11 @@ const TRACK: f64 = 0.83;
 /// there at least 0.99 of its peak and still rises. Gaussian processes move the peak, and beyond it the linearisation says
 /// that more steering turns the vehicle less.
 const SHARE_OF_PEAK_SLIP: f64 = 0.9;
+
+/// Share of the secant from the origin to the bound on the slip that the slope of the front force has at least in a
+/// linearisation ([`TyreLimits::stiffness`]). At zero slip the slope is about three times the secant. The errors of the
+/// closed loop are the same with shares from 0.1 to 0.5.
+const SHARE_OF_SECANT: f64 = 0.2;
 
 /// The vehicle and the GPs of one surface. All arguments and results are in physical units; the GPs are evaluated in the
 /// z-scored space. Without a vehicle the GPs learn the whole change; without training points the vehicle is the whole
@@ -130,14 +135,17 @@ impl Member {
             }
             Some(VehicleModel::Kinematic(_)) | None => 0.0,
         };
+        let slip = self.slip_bound(vehicle);
+        let lateral = GRAVITY * self.friction * self.lateral_grip(vehicle);
         TyreLimits {
             friction: self.friction,
-            slip: self.slip_bound(vehicle),
+            slip,
+            stiffness: SHARE_OF_SECANT * lateral / slip,
             drive,
             brake,
             coupling,
             transfer,
-            lateral: GRAVITY * self.friction * self.lateral_grip(vehicle),
+            lateral,
             braking: 1.0,
         }
     }
@@ -203,7 +211,7 @@ impl Member {
     /// Like [`Self::mean_jacobian`], with the change and the Jacobian of the member's vehicle, if it has one.
     ///
     /// For the GPs by the chain rule `∂y_o/∂z_d = target_std_o / input_std_d · ∂ŷ_o/∂ẑ_d`.
-    pub(crate) fn mean_jacobian_beside(
+    fn mean_jacobian_beside(
         &self,
         known: Option<(GpOutput, GpJacobian)>,
         z: &GpInput,
@@ -221,6 +229,28 @@ impl Member {
         };
         *jacobian += slopes;
         change + learned
+    }
+
+    /// The predictive mean at `z` and the slopes with which plans are linearised, both in physical units, with the change and
+    /// the Jacobian of the member's vehicle, if it has one.
+    ///
+    /// The slopes are the Jacobian of the mean, but for the effect of `F_x` on `v_y` and `omega`, which is that of a
+    /// single-track vehicle without the GPs. These learn from transitions over one period, within which the wheels' speed, the
+    /// tyres and the suspension have hardly followed the force; what a force costs in a bend shows only after several periods,
+    /// in states that the model does not have. `docs/problem.md`, section 5, has the figures.
+    pub(crate) fn tangent(
+        &self,
+        known: Option<(GpOutput, GpJacobian)>,
+        z: &GpInput,
+        slopes: &mut GpJacobian,
+    ) -> GpOutput {
+        let mean = self.mean_jacobian_beside(known, z, slopes);
+        if let (Some(VehicleModel::SingleTrack(_)), Some((_, lasting))) = (&self.vehicle, known) {
+            for output in LATERAL {
+                slopes[(output, DRIVE)] = lasting[(output, DRIVE)];
+            }
+        }
+        mean
     }
 
     /// The variance of the latent function at `z`, in squared output units.

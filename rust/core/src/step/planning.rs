@@ -5,7 +5,7 @@ use std::mem;
 use super::delay::Delay;
 use super::validate::ValidRequest;
 use super::{StepReply, Workspace};
-use crate::linearisation::Domain;
+use crate::linearisation::{Domain, StageModel};
 use crate::ocp::{self, Road, Setup};
 use crate::preview::StageWeights;
 use crate::solver::{Status, solve_with_fallback};
@@ -49,6 +49,12 @@ pub(super) fn plan(
     let window = settings.weights.window(library);
     let full = ws.delay.map_or(window, |delay| delay.known(window));
     let fills = (1..full).contains(&used);
+    blend_tyre_limits(
+        &ws.tyres,
+        &ws.stages,
+        rows.road_friction,
+        &mut ws.stage_tyres,
+    );
     let plan = |ws: &mut Workspace| {
         let x0 = linearise(library, settings, rows, disturbance, ws);
         assemble(library, settings, rows, &x0, ws);
@@ -91,7 +97,11 @@ fn linearise(
     let operating = &settings.operating;
     let domain = Domain::new(operating, settings.soft.v_x_max, &ws.vehicle);
     ws.dynamics.along(
-        |t| (ensembles(t), ws.offsets[t]),
+        |t| StageModel {
+            ensemble: ensembles(t),
+            offset: ws.offsets[t],
+            tyres: ws.stage_tyres[t],
+        },
         library.dt(),
         &x0,
         &ws.guess,
@@ -109,12 +119,6 @@ fn assemble(
     x0: &State,
     ws: &mut Workspace,
 ) {
-    blend_tyre_limits(
-        &ws.tyres,
-        &ws.stages,
-        rows.road_friction,
-        &mut ws.stage_tyres,
-    );
     let road = Road {
         x: &ws.reference,
         widths: rows.widths,

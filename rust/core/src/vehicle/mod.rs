@@ -13,6 +13,7 @@ mod kinematics;
 mod model;
 mod resistance;
 mod single_track;
+mod steering_effect;
 mod tyre_limits;
 
 use crate::NY;
@@ -24,6 +25,7 @@ pub(crate) use kinematics::{gp_input, jacobians, successor};
 pub use model::{ModelParameters, VehicleModel};
 pub use resistance::Resistance;
 pub use single_track::{SINGLE_TRACK_PARAMETERS, SingleTrack};
+pub(crate) use steering_effect::raise_steering_effect;
 pub use tyre_limits::TyreLimits;
 pub(crate) use tyre_limits::{ROLLING, SLIPPERY};
 
@@ -47,6 +49,12 @@ pub(crate) const VELOCITIES: [usize; NY] = [V_X, V_Y, OMEGA];
 
 /// Index of `delta` in the input of a GP, rad; the velocities stand before it.
 pub(crate) const STEERING: usize = NY;
+
+/// Index of `F_x` in the input of a GP, N.
+pub(crate) const DRIVE: usize = STEERING + 1;
+
+/// Indices of the changes of `v_y` and `omega` in the output of a GP.
+pub(crate) const LATERAL: [usize; 2] = [1, 2];
 
 /// Index of `F_x` in the input (N), and of `a = F_x/m` (m/s²) in the scaled input.
 pub(crate) const FORCE: usize = 0;

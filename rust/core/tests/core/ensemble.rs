@@ -44,7 +44,7 @@ proptest! {
         let ensemble = Ensemble::new(library(), &one_hot);
         let member = &library().members()[n];
         let (mut blended, mut own) = (GpJacobian::zeros(), GpJacobian::zeros());
-        prop_assert_eq!(ensemble.mean_jacobian(&z, &mut blended), member.mean_jacobian(&z, &mut own));
+        prop_assert_eq!(ensemble.tangent(&z, &mut blended), member.mean_jacobian(&z, &mut own));
         prop_assert_eq!(blended, own);
         prop_assert_eq!(ensemble.mean(&z), member.mean(&z));
         prop_assert_eq!(variance(library().members(), &one_hot, &z), noisy_variance(n, &z));
@@ -64,7 +64,7 @@ proptest! {
     fn the_jacobian_is_the_slope_of_the_mean(z in gp_input(), w in weights()) {
         let ensemble = Ensemble::new(library(), &w);
         let mut jacobian = GpJacobian::zeros();
-        ensemble.mean_jacobian(&z, &mut jacobian);
+        ensemble.tangent(&z, &mut jacobian);
         let direction = GpInput::from(HALF_WIDTH) * 1e-5;
         let slope = (ensemble.mean(&(z + direction)) - ensemble.mean(&(z - direction))) / 2.0;
         // The step is 1e-5 half widths: truncation ~ 1e-15, rounding ~ 1e-15.
