@@ -15,8 +15,9 @@ use crate::{GpInput, GpJacobian, State};
 /// the vehicle less as soon as the peak is passed. The slope is therefore bounded from below, by a small share of the secant
 /// from the origin to the peak. A plan that has to turn more is led back by the bound on the slip.
 ///
-/// The slip angle is `alpha = delta - atan((v_y + l_f omega) / v_x)`, so that its slope changes the columns of the velocities,
-/// too. Below the speed at which slip angles are defined nothing is changed.
+/// The slip angle is `alpha = delta - atan((v_y + l_f omega) / v_x)`, so that its slope changes the columns of `v_y` and `omega`,
+/// too. That of `v_x` stays as it is, because a plan would otherwise drive faster in order to turn more. Below the speed at which
+/// slip angles are defined nothing is changed.
 pub(crate) fn raise_steering_effect(
     vehicle: &VehicleParameters,
     stiffness: f64,
@@ -37,7 +38,7 @@ pub(crate) fn raise_steering_effect(
     }
     let squared = v_x * v_x + sideways * sideways;
     let slip = GpInput::new(
-        sideways / squared,
+        0.0,
         -v_x / squared,
         -v_x / squared * vehicle.l_f,
         1.0,
@@ -109,7 +110,7 @@ mod tests {
         assert!((lowest - least).abs() < 1e-12);
         // The change of the slopes is one of the front slip angle: by central differences.
         let slip = |x: &State| x[6] - ((x[V_Y] + l_f * x[OMEGA]) / x[V_X]).atan();
-        for (column, state) in [V_X, V_Y, OMEGA, 6].into_iter().enumerate() {
+        for (column, state) in [(1, V_Y), (2, OMEGA), (STEERING, 6)] {
             let step = State::ith(state, 1e-5);
             let slope = (slip(&(x + step)) - slip(&(x - step))) / 2e-5;
             for (row, effect) in [(1, 1.0), (2, turning)] {
@@ -119,8 +120,8 @@ mod tests {
             }
         }
         assert_eq!(after.row(0), before.row(0));
-        for input in [4, 5] {
-            assert_eq!(after.column(input), before.column(input));
+        for other in [0, 4, 5] {
+            assert_eq!(after.column(other), before.column(other));
         }
     }
 }
