@@ -45,8 +45,8 @@ impl<'a> Ensemble<'a> {
             .sum()
     }
 
-    /// The mean `Σ w μ(z)` and the slopes for the linearisation of plans, `Σ w ∂μ/∂z`, in physical units. The effect of `F_x`
-    /// on `v_y` and `omega` is that of the members' single-track vehicles, without their GPs: see `Member::tangent`.
+    /// The mean `Σ w μ(z)` and the slopes for the linearisation of plans, in physical units: `Σ w ∂μ/∂z`, without the GPs of
+    /// members that have a single-track vehicle, as `Member::tangent` explains.
     pub fn tangent(&self, z: &GpInput, slopes: &mut GpJacobian) -> GpOutput {
         slopes.fill(0.0);
         let mut mean = GpOutput::zeros();

@@ -5,7 +5,7 @@ use egp_parameters::{GRAVITY, VehicleParameters};
 use super::data::MemberData;
 use crate::gp::{Gp, HorizonScratch, Hyperparameters, SingularCovariance};
 use crate::scaler::Scaler;
-use crate::vehicle::{DRIVE, LATERAL, Resistance, TyreLimits, VehicleModel};
+use crate::vehicle::{Resistance, TyreLimits, VehicleModel};
 use crate::{GpInput, GpJacobian, GpOutput, Kernel, NY, NZ, VarianceScratch};
 
 /// Distance between the wheels of an axle as a share of the vehicle's width. It is 0.83, 0.86 and 0.85 at the front of
@@ -193,9 +193,7 @@ impl Member {
 
     /// The predictive mean at `z`, in output units: the vehicle's, if any, plus the GPs'.
     pub fn mean(&self, z: &GpInput) -> GpOutput {
-        let learned = self
-            .target_scaler
-            .unscale(&self.gp.mean(&self.input_scaler.scale(z)));
+        let learned = self.learned(z);
         match &self.vehicle {
             None => learned,
             Some(known) => known.change(z) + learned,
@@ -234,23 +232,29 @@ impl Member {
     /// The predictive mean at `z` and the slopes with which plans are linearised, both in physical units, with the change and
     /// the Jacobian of the member's vehicle, if it has one.
     ///
-    /// The slopes are the Jacobian of the mean, but for the effect of `F_x` on `v_y` and `omega`, which is that of a
-    /// single-track vehicle without the GPs. These learn from transitions over one period, within which the wheels' speed, the
-    /// tyres and the suspension have hardly followed the force; what a force costs in a bend shows only after several periods,
-    /// in states that the model does not have. `docs/problem.md`, section 5, has the figures.
+    /// The slopes are those of a single-track vehicle without the GPs, and otherwise the Jacobian of the mean. GPs learn the
+    /// values of transitions over one period. Their slopes mislead plans over many periods, above all that of `v_y` and `omega`
+    /// over `F_x`: within a period the wheels' speeds, the tyres and the suspension have hardly followed the force, and what it
+    /// costs in a bend shows only later, in states that the model does not have. `docs/problem.md`, section 5, has the figures.
     pub(crate) fn tangent(
         &self,
         known: Option<(GpOutput, GpJacobian)>,
         z: &GpInput,
         slopes: &mut GpJacobian,
     ) -> GpOutput {
-        let mean = self.mean_jacobian_beside(known, z, slopes);
-        if let (Some(VehicleModel::SingleTrack(_)), Some((_, lasting))) = (&self.vehicle, known) {
-            for output in LATERAL {
-                slopes[(output, DRIVE)] = lasting[(output, DRIVE)];
+        match (&self.vehicle, known) {
+            (Some(VehicleModel::SingleTrack(_)), Some((change, own))) => {
+                *slopes = own;
+                change + self.learned(z)
             }
+            _ => self.mean_jacobian_beside(known, z, slopes),
         }
-        mean
+    }
+
+    /// What the GPs add to the member's vehicle, in output units.
+    fn learned(&self, z: &GpInput) -> GpOutput {
+        let scaled = self.gp.mean(&self.input_scaler.scale(z));
+        self.target_scaler.unscale(&scaled)
     }
 
     /// The variance of the latent function at `z`, in squared output units.

@@ -50,12 +50,6 @@ pub(crate) const VELOCITIES: [usize; NY] = [V_X, V_Y, OMEGA];
 /// Index of `delta` in the input of a GP, rad; the velocities stand before it.
 pub(crate) const STEERING: usize = NY;
 
-/// Index of `F_x` in the input of a GP, N.
-pub(crate) const DRIVE: usize = STEERING + 1;
-
-/// Indices of the changes of `v_y` and `omega` in the output of a GP.
-pub(crate) const LATERAL: [usize; 2] = [1, 2];
-
 /// Index of `F_x` in the input (N), and of `a = F_x/m` (m/s²) in the scaled input.
 pub(crate) const FORCE: usize = 0;
 /// Index of `delta_dot` in the input, rad/s.
