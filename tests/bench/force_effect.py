@@ -5,7 +5,7 @@
 A car drives at 12 m/s on a circle that asks for 80 % of the friction. From there on its steering is
 held, and it is driven twice, with more and with less drive, as are the models of the member. The
 table has the difference of the yaw rates in mrad/s for each kN. In the last row the processes do
-not see the change of the force where they predict lateral speed and yaw rate, as in plans.
+not see the change of the force where they predict lateral speed and yaw rate.
 """
 
 from __future__ import annotations
@@ -69,10 +69,10 @@ def compare(
         change: NDArray[np.float64] = library.predict_mean(z[None], member)[0]
         return change
 
-    def planned(z: NDArray[np.float64]) -> NDArray[np.float64]:
-        held = z.copy()
-        held[FORCE] = force
-        lateral = vehicle(z) + learned(held) - vehicle(held)
+    def held(z: NDArray[np.float64]) -> NDArray[np.float64]:
+        present = z.copy()
+        present[FORCE] = force
+        lateral = vehicle(z) + learned(present) - vehicle(present)
         return np.array([learned(z)[0], *lateral[1:]])
 
     def simulated(applied: float) -> list[float]:
@@ -101,7 +101,7 @@ def compare(
         "simulated car": effect(simulated),
         "fitted vehicle": effect(lambda applied: predicted(vehicle, applied)),
         "with Gaussian processes": effect(lambda applied: predicted(learned, applied)),
-        "as in plans": effect(lambda applied: predicted(planned, applied)),
+        "with those at the present force": effect(lambda applied: predicted(held, applied)),
     }
 
 

@@ -118,6 +118,18 @@ def test_the_ensemble_completes_the_papers_scenarios_up_to_nine_tenths_of_the_gr
     assert max(float(row["lateral_rms"]) for row in own) < NOISE.position
 
 
+def test_the_ensemble_stays_on_the_path_at_the_end_of_the_grip(runs: Rows) -> None:
+    own = [
+        float(row["lateral_rms"])
+        for row in runs
+        if (row["experiment"], row["condition"], row["contender"])
+        == ("varying-speed", "100% of grip", ENSEMBLE)
+    ]
+    # Measured: 0.030 m. With the slopes of the processes in place of the vehicles' 0.07 m.
+    assert own
+    assert max(own) < 0.045
+
+
 @pytest.mark.parametrize("sensors", ["", EXACT])
 @pytest.mark.parametrize("acceleration", [2, 3, 4])
 def test_the_ensemble_drives_over_steps_of_the_friction(
