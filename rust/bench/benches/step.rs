@@ -10,7 +10,7 @@
 use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use egp_core::linearisation::{Domain, Linearisation, StageModel};
+use egp_core::linearisation::{Domain, Linearisation};
 use egp_core::ocp::{self, Road, Setup, soft_rows};
 use egp_core::settings::SolverKind;
 use egp_core::solver::{ClarabelSolver, RiccatiSolver, solve_checked};
@@ -163,21 +163,10 @@ fn phases(c: &mut Criterion, library: &Library) {
         State::from([0.0, 0.0, 13.0, 0.0, 0.02, 0.1, 0.03]),
         Input::new(300.0, 0.05),
     );
-    let tyres = TyreLimits {
-        friction: 1.0,
-        slip: 0.96,
-        drive: 6.0,
-        brake: 8.0,
-        ..TyreLimits::default()
-    };
     let (guess, mut dynamics) = (Guess::new(20), Linearisation::new(20));
     let mut linearise = || {
         dynamics.along(
-            |_| StageModel {
-                ensemble,
-                offset: egp_core::GpOutput::zeros(),
-                tyres,
-            },
+            |_| (ensemble, egp_core::GpOutput::zeros()),
             0.05,
             &x0,
             &guess,
@@ -194,6 +183,13 @@ fn phases(c: &mut Criterion, library: &Library) {
         .iter()
         .map(|r| State::from([r[0], r[1], r[2], r[3], 0.0, 0.0, 0.0]))
         .collect();
+    let tyres = TyreLimits {
+        friction: 1.0,
+        slip: 0.96,
+        drive: 6.0,
+        brake: 8.0,
+        ..TyreLimits::default()
+    };
     let road = Road {
         x: &targets,
         widths: &[[3.0; 2]; 21],

@@ -6,7 +6,7 @@ use nalgebra::SMatrix;
 use crate::settings::{Operating, OperatingSettings};
 use crate::trajectory::Guess;
 use crate::vehicle::{
-    DELTA, OMEGA, TyreLimits, V_X, V_Y, gp_input, jacobians, raise_steering_effect, successor,
+    DELTA, OMEGA, V_X, V_Y, gp_input, jacobians, keep_steering_effect, successor,
 };
 use crate::{Ensemble, GpJacobian, GpOutput, Input, NU, NX, State};
 
@@ -35,17 +35,6 @@ pub struct Linearisation {
 
 /// Share of the largest operating `|v_y|` and `|omega|` by which a shifted state may differ from the ensemble's prediction.
 const FAR: f64 = 0.5;
-
-/// The model of one stage.
-#[derive(Debug, Clone, Copy)]
-pub struct StageModel<'a> {
-    /// The ensemble of the stage.
-    pub ensemble: Ensemble<'a>,
-    /// What is added to the change that it predicts.
-    pub offset: GpOutput,
-    /// What the tyres transmit.
-    pub tyres: TyreLimits,
-}
 
 /// The vehicle to control, and the box to which operating states are clamped.
 #[derive(Debug, Clone, Copy)]
@@ -111,16 +100,18 @@ impl Linearisation {
     /// Linearises the ensemble of each stage about the inputs of the guess and, with [`Operating::Shift`], about its states.
     /// Stages without a guessed state use the ensemble's prediction, and stage 0 is always the measured state `x0`.
     ///
+    /// `models` gives the ensemble of a stage and what is added to the change that it predicts.
+    ///
     /// If a guessed state is far from the prediction, all stages use the prediction. Over long horizons the errors of a
     /// linearisation grow along an unstable vehicle; about the plan that they lead to, the next errors would be larger.
     ///
     /// Value and Jacobian of the active members are evaluated once for each stage, and twice if a guessed state is far.
     /// Operating states are clamped to `domain`, in which the members have training data. The affine term is that of the clamped
     /// state, so the result still has the ensemble's value there. Its slopes are those of [`Ensemble::tangent`], and that over
-    /// the steering angle is positive beyond the peak of the front tyres' force, too.
+    /// the steering angle is not negative beyond the peak of the front tyres' force.
     pub fn along<'a>(
         &mut self,
-        models: impl Fn(usize) -> StageModel<'a>,
+        models: impl Fn(usize) -> (Ensemble<'a>, GpOutput),
         dt: f64,
         x0: &State,
         guess: &Guess,
@@ -145,7 +136,7 @@ impl Linearisation {
     /// are near their predictions; the stages are incomplete otherwise.
     fn about<'a>(
         &mut self,
-        models: impl Fn(usize) -> StageModel<'a>,
+        models: impl Fn(usize) -> (Ensemble<'a>, GpOutput),
         step: Discretisation,
         planned: &[State],
         u: &[Input],
@@ -171,14 +162,14 @@ impl Linearisation {
 
 /// The dynamics at one point, eq. (15), and its successor.
 fn tangent(
-    model: &StageModel,
+    (ensemble, offset): &(Ensemble, GpOutput),
     vehicle: &VehicleParameters,
     Discretisation { dt, yaw_at }: Discretisation,
     (x, u): (&State, &Input),
 ) -> (AffineDynamics, State) {
     let mut slopes = GpJacobian::zeros();
-    let change = model.ensemble.tangent(&gp_input(x, u), &mut slopes) + model.offset;
-    raise_steering_effect(vehicle, model.tyres.stiffness, dt, x, &mut slopes);
+    let change = ensemble.tangent(&gp_input(x, u), &mut slopes) + offset;
+    keep_steering_effect(vehicle, x, &mut slopes);
     let next = successor(x, u, &change, dt, yaw_at);
     let (a, b) = jacobians(x, &slopes, dt, yaw_at);
     (

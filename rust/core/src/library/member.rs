@@ -17,11 +17,6 @@ const TRACK: f64 = 0.83;
 /// that more steering turns the vehicle less.
 const SHARE_OF_PEAK_SLIP: f64 = 0.9;
 
-/// Share of the secant from the origin to the bound on the slip that the slope of the front force has at least in a
-/// linearisation ([`TyreLimits::stiffness`]). At zero slip the slope is about three times the secant. The errors of the
-/// closed loop are the same with shares from 0.1 to 0.5.
-const SHARE_OF_SECANT: f64 = 0.2;
-
 /// The vehicle and the GPs of one surface. All arguments and results are in physical units; the GPs are evaluated in the
 /// z-scored space. Without a vehicle the GPs learn the whole change; without training points the vehicle is the whole
 /// prediction.
@@ -135,17 +130,14 @@ impl Member {
             }
             Some(VehicleModel::Kinematic(_)) | None => 0.0,
         };
-        let slip = self.slip_bound(vehicle);
-        let lateral = GRAVITY * self.friction * self.lateral_grip(vehicle);
         TyreLimits {
             friction: self.friction,
-            slip,
-            stiffness: SHARE_OF_SECANT * lateral / slip,
+            slip: self.slip_bound(vehicle),
             drive,
             brake,
             coupling,
             transfer,
-            lateral,
+            lateral: GRAVITY * self.friction * self.lateral_grip(vehicle),
             braking: 1.0,
         }
     }

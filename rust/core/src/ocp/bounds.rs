@@ -174,7 +174,6 @@ mod tests {
     const TYRES: TyreLimits = TyreLimits {
         friction: 1.0,
         slip: f64::INFINITY,
-        stiffness: 0.0,
         drive: 3.0,
         brake: 4.0,
         coupling: [0.0; 2],

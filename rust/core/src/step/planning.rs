@@ -5,7 +5,7 @@ use std::mem;
 use super::delay::Delay;
 use super::validate::ValidRequest;
 use super::{StepReply, Workspace};
-use crate::linearisation::{Domain, StageModel};
+use crate::linearisation::Domain;
 use crate::ocp::{self, Road, Setup};
 use crate::preview::StageWeights;
 use crate::solver::{Status, solve_with_fallback};
@@ -49,12 +49,6 @@ pub(super) fn plan(
     let window = settings.weights.window(library);
     let full = ws.delay.map_or(window, |delay| delay.known(window));
     let fills = (1..full).contains(&used);
-    blend_tyre_limits(
-        &ws.tyres,
-        &ws.stages,
-        rows.road_friction,
-        &mut ws.stage_tyres,
-    );
     let plan = |ws: &mut Workspace| {
         let x0 = linearise(library, settings, rows, disturbance, ws);
         assemble(library, settings, rows, &x0, ws);
@@ -97,11 +91,7 @@ fn linearise(
     let operating = &settings.operating;
     let domain = Domain::new(operating, settings.soft.v_x_max, &ws.vehicle);
     ws.dynamics.along(
-        |t| StageModel {
-            ensemble: ensembles(t),
-            offset: ws.offsets[t],
-            tyres: ws.stage_tyres[t],
-        },
+        |t| (ensembles(t), ws.offsets[t]),
         library.dt(),
         &x0,
         &ws.guess,
@@ -119,6 +109,12 @@ fn assemble(
     x0: &State,
     ws: &mut Workspace,
 ) {
+    blend_tyre_limits(
+        &ws.tyres,
+        &ws.stages,
+        rows.road_friction,
+        &mut ws.stage_tyres,
+    );
     let road = Road {
         x: &ws.reference,
         widths: rows.widths,

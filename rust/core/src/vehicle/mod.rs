@@ -25,7 +25,7 @@ pub(crate) use kinematics::{gp_input, jacobians, successor};
 pub use model::{ModelParameters, VehicleModel};
 pub use resistance::Resistance;
 pub use single_track::{SINGLE_TRACK_PARAMETERS, SingleTrack};
-pub(crate) use steering_effect::raise_steering_effect;
+pub(crate) use steering_effect::keep_steering_effect;
 pub use tyre_limits::TyreLimits;
 pub(crate) use tyre_limits::{ROLLING, SLIPPERY};
 

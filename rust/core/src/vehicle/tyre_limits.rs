@@ -9,9 +9,6 @@ pub struct TyreLimits {
     pub friction: f64,
     /// Slip angle of the front tyres to which plans are bounded, rad: close to the peak of their force.
     pub slip: f64,
-    /// Smallest slope of the lateral acceleration in a steady bend over the slip angle of the front tyres with which plans are
-    /// linearised, m/s² per rad.
-    pub stiffness: f64,
     /// Largest acceleration `F_x / m` under drive, m/s².
     pub drive: f64,
     /// Largest deceleration `-F_x / m` under braking, m/s².
@@ -45,7 +42,6 @@ impl TyreLimits {
     pub(crate) fn add(&mut self, weight: f64, other: &Self) {
         self.friction += weight * other.friction;
         self.slip += weight * other.slip;
-        self.stiffness += weight * other.stiffness;
         self.drive += weight * other.drive;
         self.brake += weight * other.brake;
         self.coupling = [0, 1].map(|axle| self.coupling[axle] + weight * other.coupling[axle]);
@@ -80,7 +76,6 @@ impl TyreLimits {
         let ratio = ratio.min(1.0);
         let far = ((1.0 - ratio) / (1.0 - FAR_BELOW)).min(1.0);
         Self {
-            stiffness: self.stiffness * ratio,
             drive: self.drive * ratio,
             brake: self.brake * ratio,
             lateral: self.lateral * ratio,
@@ -99,7 +94,6 @@ mod tests {
         let tyres = TyreLimits {
             friction: 0.5,
             slip: 0.1,
-            stiffness: 8.0,
             drive: 3.0,
             brake: 6.0,
             coupling: [0.2, 0.3],
@@ -110,9 +104,7 @@ mod tests {
         let forces = |ratio: f64| {
             let limits = tyres.on_less_friction(ratio);
             assert_eq!(limits.lateral, 4.0 * ratio.min(1.0));
-            assert_eq!(limits.stiffness, 8.0 * ratio.min(1.0));
             let TyreLimits {
-                stiffness,
                 drive,
                 brake,
                 lateral,
@@ -121,7 +113,6 @@ mod tests {
             } = tyres;
             assert_eq!(
                 TyreLimits {
-                    stiffness,
                     drive,
                     brake,
                     lateral,
