@@ -5,9 +5,7 @@ use nalgebra::SMatrix;
 
 use crate::settings::{Operating, OperatingSettings};
 use crate::trajectory::Guess;
-use crate::vehicle::{
-    DELTA, OMEGA, V_X, V_Y, gp_input, jacobians, keep_steering_effect, successor,
-};
+use crate::vehicle::{DELTA, OMEGA, V_X, V_Y, gp_input, jacobians, successor};
 use crate::{Ensemble, GpJacobian, GpOutput, Input, NU, NX, State};
 
 /// `x_{t+1} = A x_t + B u_t + c`, inputs in N and rad/s.
@@ -36,10 +34,9 @@ pub struct Linearisation {
 /// Share of the largest operating `|v_y|` and `|omega|` by which a shifted state may differ from the ensemble's prediction.
 const FAR: f64 = 0.5;
 
-/// The vehicle to control, and the box to which operating states are clamped.
+/// Box to which operating states are clamped.
 #[derive(Debug, Clone, Copy)]
 pub struct Domain {
-    vehicle: VehicleParameters,
     v_x: (f64, f64),
     v_y: f64,
     omega: f64,
@@ -51,7 +48,6 @@ impl Domain {
     pub fn new(settings: &OperatingSettings, v_x_max: f64, vehicle: &VehicleParameters) -> Self {
         let [v_x_min, v_y, omega] = settings.limits(vehicle.scale());
         Self {
-            vehicle: *vehicle,
             v_x: (v_x_min, v_x_max.max(v_x_min)),
             v_y,
             omega,
@@ -105,10 +101,9 @@ impl Linearisation {
     /// If a guessed state is far from the prediction, all stages use the prediction. Over long horizons the errors of a
     /// linearisation grow along an unstable vehicle; about the plan that they lead to, the next errors would be larger.
     ///
-    /// Value and Jacobian of the active members are evaluated once for each stage, and twice if a guessed state is far.
+    /// Values and slopes of the active members are evaluated once for each stage, and twice if a guessed state is far.
     /// Operating states are clamped to `domain`, in which the members have training data. The affine term is that of the clamped
-    /// state, so the result still has the ensemble's value there. Its slopes are those of [`Ensemble::tangent`], and that over
-    /// the steering angle is not negative beyond the peak of the front tyres' force.
+    /// state, so the result still has the ensemble's value there. Its slopes are those of [`Ensemble::tangent`].
     pub fn along<'a>(
         &mut self,
         models: impl Fn(usize) -> (Ensemble<'a>, GpOutput),
@@ -144,7 +139,7 @@ impl Linearisation {
     ) -> bool {
         self.defect = 0.0;
         for (t, (stage, u)) in self.stages.iter_mut().zip(u).enumerate() {
-            let (dynamics, next) = tangent(&models(t), &domain.vehicle, step, (&self.x[t], u));
+            let (dynamics, next) = tangent(&models(t), step, (&self.x[t], u));
             *stage = dynamics;
             let shifted = planned.get(t + 1);
             if shifted.is_some_and(|shifted| !domain.is_near(shifted, &next)) {
@@ -163,13 +158,11 @@ impl Linearisation {
 /// The dynamics at one point, eq. (15), and its successor.
 fn tangent(
     (ensemble, offset): &(Ensemble, GpOutput),
-    vehicle: &VehicleParameters,
     Discretisation { dt, yaw_at }: Discretisation,
     (x, u): (&State, &Input),
 ) -> (AffineDynamics, State) {
     let mut slopes = GpJacobian::zeros();
     let change = ensemble.tangent(&gp_input(x, u), &mut slopes) + offset;
-    keep_steering_effect(vehicle, x, &mut slopes);
     let next = successor(x, u, &change, dt, yaw_at);
     let (a, b) = jacobians(x, &slopes, dt, yaw_at);
     (

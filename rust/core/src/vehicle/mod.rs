@@ -13,7 +13,6 @@ mod kinematics;
 mod model;
 mod resistance;
 mod single_track;
-mod steering_effect;
 mod tyre_limits;
 
 use crate::NY;
@@ -25,7 +24,6 @@ pub(crate) use kinematics::{gp_input, jacobians, successor};
 pub use model::{ModelParameters, VehicleModel};
 pub use resistance::Resistance;
 pub use single_track::{SINGLE_TRACK_PARAMETERS, SingleTrack};
-pub(crate) use steering_effect::keep_steering_effect;
 pub use tyre_limits::TyreLimits;
 pub(crate) use tyre_limits::{ROLLING, SLIPPERY};
 
