@@ -58,6 +58,7 @@ def compare(
             seconds[name].append(time.perf_counter() - start)
 
     stack = PaperStack(path, library, settings)
+    with_our_slopes = PaperStack(path, library, settings, vehicle_slopes=True)
     phases: list[tuple[float, float, float]] = []
     difference: list[float] = []
     sample = requests[:: max(1, len(requests) // count)]
@@ -68,7 +69,8 @@ def compare(
         seconds["paper"].append(step.phases.total)
         phases.append((step.phases.weights, step.phases.linearise, step.phases.mpc))
         ours = decode_reply(engines["riccati"].step(request))
-        difference.append(worst(ours.plan_u - step.plan_u, settings["mass"]))
+        alike = with_our_slopes.step(decode_request(request))
+        difference.append(worst(ours.plan_u - alike.plan_u, settings["mass"]))
 
     points = [member.n_points for member in library.members]
     table = Table(title=f"A step on a lap, members of {points} points, horizon {stack.horizon}, us")
@@ -86,7 +88,7 @@ def compare(
     console.print(
         "largest difference of the first input, scaled: "
         f"median {np.median(difference):.1e}, worst {np.max(difference):.1e} "
-        "(the paper's problem has no proximal term and fewer bounds; OSQP at 1e-5)"
+        "(the paper's problem with our slopes; no proximal term, fewer bounds; OSQP at 1e-5)"
     )
     draw(seconds, picture)
     console.print(f"picture: {picture}")

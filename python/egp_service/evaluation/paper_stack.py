@@ -156,6 +156,17 @@ class Member:
             ]
         return means.detach().T.numpy(), torch.stack(gradients, 1).numpy()
 
+    def vehicle_jacobian(self, z: Array) -> Array:
+        """Jacobian (n, 3, 6) of the prior mean; without one, that of the mean."""
+        if self._vehicle is None:
+            return self.mean_jacobian(z)[1]
+        query = torch.from_numpy(z).requires_grad_()
+        changes = self._known(query).T
+        gradients = [
+            torch.autograd.grad(change.sum(), query, retain_graph=True)[0] for change in changes
+        ]
+        return np.asarray(torch.stack(gradients, 1))
+
 
 @dataclass
 class Phases:
@@ -202,8 +213,20 @@ class Weights:
 class PaperStack:
     """The paper's step for one library and the settings of this system's step."""
 
-    def __init__(self, path: Path, library: Library, settings: dict[str, Any]) -> None:
-        """Build the stack for the library at `path`."""
+    def __init__(
+        self,
+        path: Path,
+        library: Library,
+        settings: dict[str, Any],
+        *,
+        vehicle_slopes: bool = False,
+    ) -> None:
+        """Build the stack for the library at `path`.
+
+        The paper linearises the ensemble. With `vehicle_slopes` the slopes are those of this
+        system's step, the prior means', so that the plans of both can be compared.
+        """
+        self.vehicle_slopes = vehicle_slopes
         tensors, dt = read_tensors(path), library.dt
         count = len(library.members)
         self.members = [Member(library, tensors, n) for n in range(count)]
@@ -277,7 +300,10 @@ class PaperStack:
         z = gp_input(x[:-1], u)
         parts = [member.mean_jacobian(z) for member in self.members]
         mean = sum(wn * m for wn, (m, _) in zip(w, parts, strict=True))
-        jacobian = sum(wn * j for wn, (_, j) in zip(w, parts, strict=True))
+        slopes = [j for _, j in parts]
+        if self.vehicle_slopes:
+            slopes = [member.vehicle_jacobian(z) for member in self.members]
+        jacobian = sum(wn * j for wn, j in zip(w, slopes, strict=True))
         dt, states = self.dt, x[:-1]
         ahead = self.yaw_at * dt
         yaw = states[:, PSI] + ahead * states[:, OMEGA]
