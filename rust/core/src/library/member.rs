@@ -13,8 +13,8 @@ use crate::{GpInput, GpJacobian, GpOutput, Kernel, NY, NZ, VarianceScratch};
 const TRACK: f64 = 0.83;
 
 /// Share of the slip at the peak of the front force to which plans bound the slip of the front tyres. The fitted force is
-/// there at least 0.99 of its peak and still rises. Gaussian processes move the peak, and beyond it the linearisation says
-/// that more steering turns the vehicle less.
+/// there at least 0.99 of its peak and still rises. At the peak the linearisation says that steering has no effect, and beyond
+/// it that more steering turns the vehicle less.
 const SHARE_OF_PEAK_SLIP: f64 = 0.9;
 
 /// The vehicle and the GPs of one surface. All arguments and results are in physical units; the GPs are evaluated in the
