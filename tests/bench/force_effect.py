@@ -2,10 +2,11 @@
 
     python tests/bench/force_effect.py [LIBRARY]
 
-A car drives at 12 m/s on a circle that asks for 80 % of the friction. From there on its steering is
-held, and it is driven twice, with more and with less drive, as are the models of the member. The
-table has the difference of the yaw rates in mrad/s for each kN. In the last row the processes do
-not see the change of the force where they predict lateral speed and yaw rate.
+A car drives at 12 m/s on a circle that asks for 80 % of the friction. Then its steering angle is
+held, and it is driven on twice, with more and with less force. The same is computed by the models
+of the member of this friction. The table has the difference of the yaw rates in mrad/s for each kN.
+In the last row of each friction the Gaussian processes predict lateral speed and yaw rate as if the
+force had not changed.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ def main() -> None:
         path = Path(folder) / "fitted.safetensors"
         baselines.write(path, "fitted", source, MEMBERS, 1)
         fitted = Library.load(path)
-    print("| friction | model |", *(f"{n} periods |" for n in AFTER))
+    print("| friction | model |", *(f"{n * library.dt:.2f} s |" for n in AFTER))
     print("|---" * (2 + len(AFTER)) + "|")
     for member in MEMBERS:
         friction = library.members[member].friction
@@ -69,7 +70,7 @@ def compare(
         change: NDArray[np.float64] = library.predict_mean(z[None], member)[0]
         return change
 
-    def held(z: NDArray[np.float64]) -> NDArray[np.float64]:
+    def with_present_force(z: NDArray[np.float64]) -> NDArray[np.float64]:
         present = z.copy()
         present[FORCE] = force
         lateral = vehicle(z) + learned(present) - vehicle(present)
@@ -101,7 +102,9 @@ def compare(
         "simulated car": effect(simulated),
         "fitted vehicle": effect(lambda applied: predicted(vehicle, applied)),
         "with Gaussian processes": effect(lambda applied: predicted(learned, applied)),
-        "with those at the present force": effect(lambda applied: predicted(held, applied)),
+        "with those at the present force": effect(
+            lambda applied: predicted(with_present_force, applied)
+        ),
     }
 
 

@@ -52,6 +52,13 @@ def test_on_less_friction_than_all_members_a_vehicle_that_is_too_fast_still_turn
     assert 0.5 < kept.lateral_error.max < 2.0  # measured 1.06 m
 
 
+def test_a_vehicle_that_is_too_fast_does_not_spin(library: Path) -> None:
+    # With the slopes of the processes in place of the vehicles' it spun here.
+    kept = driven(library, 39, 0.2, control={})
+    assert kept.ending.completed
+    assert kept.lateral_error.max < 2.5  # measured 1.7 m
+
+
 def test_an_envelope_of_the_lateral_speed_keeps_a_vehicle_in_control(library: Path) -> None:
     lost = driven(library, 39, 0.3, control={})
     assert "lost control" in lost.ending.reason

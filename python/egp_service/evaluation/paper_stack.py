@@ -298,12 +298,12 @@ class PaperStack:
     def _linearise(self, x: Array, u: Array, w: Array) -> tuple[Array, Array, Array]:
         """Blend the tangents, eqs. (15)-(17), for scaled inputs; positions follow `yaw_at`."""
         z = gp_input(x[:-1], u)
-        parts = [member.mean_jacobian(z) for member in self.members]
-        mean = sum(wn * m for wn, (m, _) in zip(w, parts, strict=True))
-        slopes = [j for _, j in parts]
         if self.vehicle_slopes:
-            slopes = [member.vehicle_jacobian(z) for member in self.members]
-        jacobian = sum(wn * j for wn, j in zip(w, slopes, strict=True))
+            parts = [(member.mean(z), member.vehicle_jacobian(z)) for member in self.members]
+        else:
+            parts = [member.mean_jacobian(z) for member in self.members]
+        mean = sum(wn * m for wn, (m, _) in zip(w, parts, strict=True))
+        jacobian = sum(wn * j for wn, (_, j) in zip(w, parts, strict=True))
         dt, states = self.dt, x[:-1]
         ahead = self.yaw_at * dt
         yaw = states[:, PSI] + ahead * states[:, OMEGA]
